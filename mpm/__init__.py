@@ -1,0 +1,1 @@
+"""What both solvers share: scene files, points, the background lattice, uGIMP, Drucker-Prager, results."""

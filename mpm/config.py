@@ -1,0 +1,300 @@
+"""The scene file: TOML in, validated models out. Every quantity has its unit; an unknown key is an error.
+
+`load_scene` reports every problem of a file at once, one line each: key, value, accepted range, unit.
+"""
+
+import difflib
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from mpm.drucker_prager import CONES, Constants, cone_slope, cone_strength
+from mpm.errors import SceneError
+
+Wall = Literal["free", "roller", "fixed"]
+Symmetry = Literal["quarter", "half", "full"]
+FIELDS = ("displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume")
+
+
+def quantity(unit: str, description: str, default: Any = ..., **bounds):
+    """A field with its unit: part of the description, of error messages and of the schema."""
+    return Field(default, description=f"{description} [{unit}]", json_schema_extra={"unit": unit}, **bounds)
+
+
+class Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Column(Section):
+    """Upright cylinder on a rough base; symmetry planes x = 0 (quarter) and y = 0 (quarter, half)."""
+
+    shape: Literal["column"] = Field(description="geometry: column, box or mesh")
+    radius: float = quantity("m", "initial radius r0", gt=0)
+    aspect_ratio: float = quantity("-", "lambda0 = h0/r0", gt=0, le=50)
+    symmetry: Symmetry = Field("quarter", description="part of the column that is computed")
+
+    @property
+    def height(self) -> float:
+        """h0 [m]."""
+        return self.radius * self.aspect_ratio
+
+
+class Walls(Section):
+    """Condition on each face of a box; a roller holds the normal component, fixed holds all."""
+
+    x_min: Wall = Field("free", description="face x = 0")
+    x_max: Wall = Field("free", description="face x = size[0]")
+    y_min: Wall = Field("free", description="face y = 0")
+    y_max: Wall = Field("free", description="face y = size[1]")
+    z_min: Wall = Field("fixed", description="face z = 0")
+    z_max: Wall = Field("free", description="face z = size[2]")
+
+
+class Box(Section):
+    """Rectangular block from the origin to `size`, with a wall condition on each face."""
+
+    shape: Literal["box"] = Field(description="geometry: column, box or mesh")
+    size: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = quantity(
+        "m", "edge lengths along x, y, z"
+    )
+    walls: Walls = Field(Walls(), description="condition on each face")
+
+
+class Mesh(Section):
+    """Body read from a closed surface or volume mesh (any format meshio reads), standing on z = 0."""
+
+    shape: Literal["mesh"] = Field(description="geometry: column, box or mesh")
+    file: str = Field(description="mesh file, relative to the scene file")
+    symmetry: Symmetry = Field("full", description="part of the body that is computed")
+
+
+class Grid(Section):
+    cell: float = quantity("m", "edge length h of a background cell", gt=0)
+    points_per_cell: Literal[2] = Field(2, description="points per cell and axis; the uGIMP half-length is h/4")
+    extent: Literal["material", "paper"] = Field(
+        "material",
+        description="material: the grid follows the points; paper: rollers at x, y = 4 h0 as in Table 1",
+    )
+
+
+class Material(Section):
+    model: Literal["drucker_prager", "elastic"] = Field("drucker_prager", description="constitutive law")
+    young: float = quantity("Pa", "Young's modulus E", gt=0)
+    poisson: float = quantity("-", "Poisson's ratio", ge=0, le=0.499)
+    density: float = quantity("kg/m3", "bulk density", gt=0)
+    friction_angle: float = quantity("degrees", "angle of friction phi", 0.0, ge=0, le=80)
+    cohesion: float = quantity("Pa", "cohesion c", 0.0, ge=0)
+    dilatancy_angle: float = quantity("degrees", "angle of dilatancy psi", 0.0, ge=0, le=80)
+    cone: Literal[CONES] = Field("plane_strain", description="how the cone is matched to Mohr-Coulomb")
+
+    def constants(self) -> Constants:
+        """Moduli and cone constants (see `mpm.drucker_prager`)."""
+        return Constants(
+            bulk=self.young / (3.0 * (1.0 - 2.0 * self.poisson)),
+            shear=self.young / (2.0 * (1.0 + self.poisson)),
+            eta=cone_slope(self.friction_angle, self.cone),
+            eta_bar=cone_slope(self.dilatancy_angle, self.cone),
+            xi=cone_strength(self.cohesion, self.friction_angle, self.cone),
+            density=self.density,
+            plastic=self.model == "drucker_prager",
+        )
+
+
+class Loads(Section):
+    gravity: float = quantity("m/s2", "gravity along -z", 9.81, ge=0)
+    ramp: float = quantity("s", "time over which gravity grows linearly to its full value", 0.0, ge=0)
+
+
+class Explicit(Section):
+    damping: float = quantity("-", "local damping D", 0.05, ge=0, lt=1)
+    cfl: float = quantity("-", "Courant number of the adaptive time step", 0.5, gt=0, le=1)
+    time_step: float | None = quantity("s", "fixed time step in place of the adaptive one", None, gt=0)
+    until: Literal["rest"] | Annotated[float, Field(gt=0)] = quantity("s", "end time, or 'rest'", "rest")
+    max_time: float | None = quantity("s", "end time if rest never comes; default 20 sqrt(height/gravity)", None, gt=0)
+    precision: Literal["float32", "float64"] = Field("float64", description="floating-point type of the state")
+    pressure_averaging: bool = Field(False, description="replace each point's pressure by its cell's volume average")
+
+
+class Output(Section):
+    every: float = quantity("s", "simulated time between snapshots (and checkpoints)", 0.1, gt=0)
+    history_every: float | None = quantity(
+        "s", "simulated time between history rows; default sqrt(height/gravity)/20", None, gt=0
+    )
+    fields: tuple[Literal[FIELDS], ...] = Field(
+        ("displacement", "velocity", "stress", "eps_p_eqv"), description="point fields of the snapshots"
+    )
+    vtk: bool = Field(True, description="also write ParaView files (vtk/run.pvd)")
+
+
+class Scene(Section):
+    """A validated scene: what to compute, none of how the machine does it."""
+
+    name: str = Field(description="name of the scene", pattern=r"^[A-Za-z0-9._-]+$")
+    geometry: Annotated[Column | Box | Mesh, Field(discriminator="shape")]
+    grid: Grid
+    material: Material
+    loads: Loads = Loads()
+    explicit: Explicit = Explicit()
+    output: Output = Output()
+
+
+def preset_names() -> list[str]:
+    """Names of the scenes that come with Repose."""
+    folder = resources.files("mpm") / "presets"
+    return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def read_scene_file(reference: str) -> tuple[dict, Path]:
+    """Raw TOML table of a file or a preset's name, and the folder that relative paths start from.
+
+    Raises SceneError when there is no such file or preset, or the text is not TOML.
+    """
+    path = Path(reference)
+    if not path.is_file():
+        if reference not in preset_names():
+            near = difflib.get_close_matches(reference, preset_names(), n=1)
+            hint = f"; did you mean '{near[0]}'?" if near else ""
+            raise SceneError(f"scene '{reference}': no such file or preset{hint} (`repose scenes` lists them)")
+        path = Path(str(resources.files("mpm") / "presets" / f"{reference}.toml"))
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8")), path.resolve().parent
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise SceneError(f"scene '{reference}': not a readable TOML file: {error}") from None
+
+
+def load_scene(reference: str, overrides: list[str] = ()) -> Scene:
+    """Validated scene from a file or preset name, with `key=value` overrides (dotted keys, TOML values).
+
+    Raises SceneError with every problem found, one line each.
+    """
+    table, folder = read_scene_file(reference)
+    problems = [problem for item in overrides if (problem := _override(table, item))]
+    if problems:
+        raise SceneError(problems)
+    geometry = table.get("geometry")
+    if isinstance(geometry, dict) and isinstance(geometry.get("file"), str):
+        geometry["file"] = str((folder / geometry["file"]).resolve())
+    return parse_scene(table)
+
+
+def parse_scene(table: dict) -> Scene:
+    """Validated scene from a raw table. Raises SceneError with every problem found, one line each."""
+    try:
+        scene = Scene.model_validate(table)
+    except ValidationError as error:
+        raise SceneError([_explain(item) for item in error.errors()]) from None
+    problems = _cross_checks(scene)
+    if problems:
+        raise SceneError(problems)
+    return scene
+
+
+def _override(table: dict, item: str) -> str | None:
+    """Apply `a.b=value` to the raw table; the problem, if any."""
+    key, equals, text = item.partition("=")
+    if not equals or not key.strip():
+        return f"--set {item}: expected key=value, for example explicit.damping=0.4"
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text  # a bare word is a string: --set material.cone=inner
+    *path, last = key.strip().split(".")
+    for name in path:
+        table = table.setdefault(name, {})
+        if not isinstance(table, dict):
+            return f"--set {item}: '{name}' is not a section"
+    table[last] = value
+    return None
+
+
+def _resolve(location: tuple) -> tuple[str, type[Section], Any]:
+    """Dotted key, the model that holds its last part, and that part's field (None if unknown)."""
+    model, field, keys = Scene, None, []
+    for part in location:
+        if field is not None and field.discriminator and part in ("column", "box", "mesh"):
+            model, field = {"column": Column, "box": Box, "mesh": Mesh}[part], None
+            continue
+        if isinstance(part, str) and (part in model.model_fields or field is None):
+            keys.append(part)
+            field = model.model_fields.get(part)
+            inner = getattr(field, "annotation", None)
+            if isinstance(inner, type) and issubclass(inner, Section):
+                model, field = inner, None if part != location[-1] else field
+        elif isinstance(part, int):
+            keys.append(str(part))
+    return ".".join(keys), model, field
+
+
+def _accepted(field, error: dict) -> str:
+    """Accepted type, range or values and unit of a field, in words."""
+    symbols = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
+    bounds = [
+        f"{symbol} {getattr(mark, name):g}"
+        for mark in getattr(field, "metadata", ())
+        for name, symbol in symbols.items()
+        if hasattr(mark, name)
+    ] or [f"{symbols[name]} {value:g}" for name, value in error.get("ctx", {}).items() if name in symbols]
+    kind = "a number " if error["type"].startswith(("float", "int", "finite")) else ""
+    words = f"must be {kind}{' and '.join(bounds)}" if bounds else error["msg"][0].lower() + error["msg"][1:]
+    unit = (getattr(field, "json_schema_extra", None) or {}).get("unit")
+    return words + (f" [{unit}]" if unit else "")
+
+
+def _explain(error: dict) -> str:
+    """One problem in one line: key, value, accepted range and unit, or the nearest known key."""
+    location = error["loc"]
+    key, model, field = _resolve(location)
+    if error["type"] == "extra_forbidden":
+        known = list(model.model_fields)
+        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
+        return f"{key}: unknown key; {hint}"
+    if error["type"] == "missing":
+        about = f" ({field.description})" if field is not None and field.description else ""
+        return f"{key}: missing, and it has no default{about}"
+    if error["type"].startswith("union_tag"):
+        return f"{key}.shape: must be 'column', 'box' or 'mesh'"
+    return f"{key} = {error['input']!r}: {_accepted(field, error)}"
+
+
+def _cross_checks(scene: Scene) -> list[str]:
+    """Problems that only show when several keys are read together."""
+    cell, shape = scene.grid.cell, scene.geometry
+    problems = []
+    if isinstance(shape, Column):
+        smallest, name = min((shape.radius, "radius"), (shape.height, "height radius*aspect_ratio"))
+        if cell > smallest:
+            problems.append(
+                f"grid.cell = {cell:g}: the cell is larger than the column, must be <= its {name} = {smallest:g} [m]"
+            )
+    if isinstance(shape, Box):
+        for axis, length in zip("xyz", shape.size, strict=True):
+            halves = 2.0 * length / cell
+            if abs(halves - round(halves)) > 1e-6 or round(halves) < 1:
+                problems.append(
+                    f"geometry.size.{axis} = {length:g}: must be a multiple of half a cell, {cell / 2:g} [m]"
+                )
+            elif getattr(shape.walls, f"{axis}_max") != "free" and round(halves) % 2:
+                problems.append(
+                    f"geometry.size.{axis} = {length:g}: a wall at {axis}_max needs whole cells, {cell:g} [m]"
+                )
+    if scene.material.dilatancy_angle > scene.material.friction_angle:
+        problems.append(
+            f"material.dilatancy_angle = {scene.material.dilatancy_angle:g}: must be <= friction_angle = "
+            f"{scene.material.friction_angle:g} [degrees]"
+        )
+    if scene.grid.extent == "paper" and not (isinstance(shape, Column) and shape.symmetry == "quarter"):
+        problems.append("grid.extent = 'paper': only for a quarter column (Table 1)")
+    if scene.loads.gravity == 0:
+        needs = {"explicit.until = 'rest'": scene.explicit.until == "rest"}
+        needs |= {"output.history_every": scene.output.history_every is None}
+        problems += [
+            f"{key}: without gravity it has no time scale, give it in [s]" for key, yes in needs.items() if yes
+        ]
+    asked = "fields" in scene.output.model_fields_set and "eps_p_eqv" in scene.output.fields
+    if asked and scene.material.model == "elastic":
+        problems.append("output.fields: 'eps_p_eqv' does not exist when material.model = 'elastic'")
+    return problems

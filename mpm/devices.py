@@ -1,0 +1,37 @@
+"""Warp started quietly, once, and devices found by name."""
+
+import os
+from contextlib import contextmanager
+
+import warp as wp
+
+from mpm.errors import SceneError
+
+
+@contextmanager
+def _stderr_hidden():
+    """Send file descriptor 2 nowhere: Warp's native code writes a warning there when no CUDA driver is found."""
+    kept, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nowhere)
+
+
+def start_warp():
+    """Initialise Warp without its banner, compile messages or the remark that a laptop has no GPU."""
+    wp.config.log_level = wp.LOG_ERROR
+    with _stderr_hidden():
+        wp.init()
+
+
+def find_device(name: str):
+    """The Warp device called `name` ("cpu", "cuda:0"). Raises SceneError that lists the devices there are."""
+    start_warp()
+    known = [device.alias for device in wp.get_devices()]
+    if name not in known:
+        raise SceneError(f"--device {name}: no such device; this machine has: {', '.join(known)}")
+    return wp.get_device(name)

@@ -1,0 +1,123 @@
+"""Isotropic elasticity and the Drucker-Prager cone with its apex, the one place they are written.
+
+Stress is tension positive, sigma_m = tr(sigma)/3, f = sqrt(J2) + eta sigma_m - xi. The return map works on
+the two invariants (sigma_m, sqrt(J2)): the deviator keeps its direction, so the same function serves Cauchy
+stress (explicit) and Kirchhoff stress with Hencky strain (implicit).
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import warp as wp
+
+CONES = ("inner", "outer", "plane_strain")
+# Elastic points never reach the cone. Finite, because inf - inf is NaN in the yield function.
+NEVER_YIELDS = 1e30
+
+
+@dataclass(frozen=True)
+class Constants:
+    """Material constants of one scene: moduli and strengths in Pa, the rest dimensionless.
+
+    `eta`, `eta_bar` are the friction and dilatancy slopes of the cone, `xi` its cohesive strength [Pa].
+    """
+
+    bulk: float
+    shear: float
+    eta: float
+    eta_bar: float
+    xi: float
+    density: float
+    plastic: bool
+
+    @property
+    def p_wave_modulus(self) -> float:
+        """M = K + 4G/3 [Pa], the modulus of confined compression."""
+        return self.bulk + 4.0 * self.shear / 3.0
+
+    @property
+    def p_wave_speed(self) -> float:
+        """c = sqrt(M/rho) [m/s]."""
+        return math.sqrt(self.p_wave_modulus / self.density)
+
+
+def cone_slope(angle_deg: float, cone: str) -> float:
+    """Slope eta of the Drucker-Prager cone that matches Mohr-Coulomb at `angle_deg` [degrees].
+
+    `inner` meets the extension corners, `outer` the compression corners, `plane_strain` the plane-strain
+    collapse load. Also gives eta_bar from the dilatancy angle.
+    """
+    s, t = math.sin(math.radians(angle_deg)), math.tan(math.radians(angle_deg))
+    if cone == "plane_strain":
+        return 3.0 * t / math.sqrt(9.0 + 12.0 * t * t)
+    return 6.0 * s / (math.sqrt(3.0) * (3.0 + s if cone == "inner" else 3.0 - s))
+
+
+def cone_strength(cohesion: float, angle_deg: float, cone: str) -> float:
+    """Strength xi [Pa] of the cone for `cohesion` [Pa] and friction `angle_deg` [degrees]."""
+    s, c = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
+    if cone == "plane_strain":
+        return 3.0 * cohesion / math.sqrt(9.0 + 12.0 * (s / c) ** 2)
+    return 6.0 * cohesion * c / (math.sqrt(3.0) * (3.0 + s if cone == "inner" else 3.0 - s))
+
+
+@functools.cache
+def drucker_prager(real):
+    """Return `Material` (a Warp struct) and `return_map` (a Warp function) for `real`.
+
+    `return_map(sigma_m, root_j2, material)` takes the trial invariants [Pa] and gives
+    (sigma_m, scale, d_eps, work): the returned mean stress [Pa], the factor on the deviator, the increment of
+    equivalent plastic strain sqrt(2/3 eps_p:eps_p) [-] and the plastic work per volume [J/m3], all at the end
+    of the step. Shear return where it lands on the cone, otherwise the apex: sigma = (xi/eta) I, zero at c = 0.
+    """
+    name = f"repose_{real.__name__}"
+    zero, one, three, nine = (wp.constant(real(value)) for value in (0.0, 1.0, 3.0, 9.0))
+    two = wp.constant(real(2.0))
+
+    @wp.struct
+    class Material:
+        bulk: real
+        shear: real
+        eta: real
+        eta_bar: real
+        xi: real
+        plastic: int
+
+    @wp.func(module=name)
+    def return_map(sigma_m: real, root_j2: real, material: Material):
+        f = root_j2 + material.eta * sigma_m - material.xi
+        mean = sigma_m
+        scale = one
+        d_eps = zero
+        work = zero
+        if f > zero:
+            d_lambda = f / (material.shear + material.bulk * material.eta * material.eta_bar)
+            root = root_j2 - material.shear * d_lambda
+            if root >= zero:
+                mean = sigma_m - material.bulk * material.eta_bar * d_lambda
+                scale = root / root_j2
+                d_eps = d_lambda * wp.sqrt(one / three + two * material.eta_bar * material.eta_bar / nine)
+            else:
+                mean = material.xi / material.eta
+                scale = zero
+                shear_strain = root_j2 / material.shear
+                volume_strain = (sigma_m - mean) / material.bulk
+                d_eps = wp.sqrt(shear_strain * shear_strain / three + two * volume_strain * volume_strain / nine)
+            volume_work = mean * (sigma_m - mean) / material.bulk
+            work = volume_work + scale * (one - scale) * root_j2 * root_j2 / material.shear
+        return mean, scale, d_eps, work
+
+    def pack(constants: Constants) -> Material:
+        """Material struct for kernels from host constants."""
+        material = Material()
+        material.bulk = constants.bulk
+        material.shear = constants.shear
+        material.eta = constants.eta
+        material.eta_bar = constants.eta_bar
+        material.xi = constants.xi if constants.plastic else NEVER_YIELDS
+        material.plastic = int(constants.plastic)
+        return material
+
+    return SimpleNamespace(Material=Material, return_map=return_map, pack=pack)

@@ -1,0 +1,17 @@
+"""The two ways a run ends badly, each with its exit code."""
+
+
+class SceneError(ValueError):
+    """Bad input (exit code 2): every problem found, one message a line."""
+
+    exit_code = 2
+
+    def __init__(self, problems):
+        self.problems = [problems] if isinstance(problems, str) else list(problems)
+        super().__init__("\n".join(self.problems))
+
+
+class NumericalError(RuntimeError):
+    """A run that cannot go on (exit code 3): says the time, the step, the point and what is saved."""
+
+    exit_code = 3

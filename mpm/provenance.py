@@ -1,0 +1,128 @@
+"""What a result was computed with and on: versions, commit, machine; and what is installed here."""
+
+import importlib.util
+import os
+import platform
+import resource
+import subprocess
+import sys
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import NamedTuple
+
+PROJECT = Path(__file__).resolve().parents[1]
+DOLFINX_APT = "apt-get install --no-install-recommends python3-dolfinx-real python3-petsc4py-real"
+
+
+def provenance(device: str, precision: str) -> dict[str, str | float]:
+    """What to store beside a result. `device` is Warp's alias, "cpu" or "cuda:N"."""
+    return {
+        "repose": _version("repose"),
+        "commit": git_commit(PROJECT),
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+        "python": platform.python_version(),
+        "numpy": _version("numpy"),
+        "warp": _version("warp-lang"),
+        "os": platform.platform(),
+        "cpu": cpu_name(),
+        "cores": os.cpu_count() or 1,
+        "device": device,
+        "device_name": cpu_name() if device == "cpu" else _warp().get_device(device).name,
+        "precision": precision,
+    }
+
+
+def peak_memory_mb() -> float:
+    """The most memory this process has held so far [MB, 10^6 bytes]; what a GPU holds is not in it."""
+    # Linux hands ru_maxrss on to child processes: a run started by a larger one would report that one's peak.
+    if peak := _from_proc("/proc/self/status", "VmHWM"):
+        return float(peak.removesuffix("kB")) * 1024 / 1e6
+    unit = 1 if sys.platform == "darwin" else 1024  # ru_maxrss: bytes on macOS, KiB elsewhere
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 1e6
+
+
+def git_commit(checkout: Path) -> str:
+    """The commit checked out there, "-dirty" after it where tracked files differ, or "unknown"."""
+    # Without this look git would answer for a repository further up that merely holds an installed copy.
+    if not (checkout / ".git").exists():
+        return "unknown"
+    # --exclude leaves every tag out, so that the name is always the full commit.
+    describe = ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        answer = subprocess.run(describe, capture_output=True, text=True, check=True, timeout=10)
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return answer.stdout.strip()
+
+
+def cpu_name() -> str:
+    """The processor's model name, as the system reports it."""
+    return _from_proc("/proc/cpuinfo", "model name") or platform.machine()  # Arm's cpuinfo has no model name
+
+
+class Package(NamedTuple):
+    """One library as `repose info` lists it; `version` is None where it is not installed."""
+
+    name: str
+    version: str | None
+    needed_for: str
+    how_to_get: str
+
+
+def installed() -> list[Package]:
+    """The libraries Repose uses and their versions here, found without importing any."""
+    pip, apt = "./repose installs it", DOLFINX_APT
+    uses = [  # module, distribution, needed for, how to get it
+        ("numpy", "numpy", "everything", pip),
+        ("scipy", "scipy", "comparisons", pip),
+        ("pydantic", "pydantic", "scene files", pip),
+        ("h5py", "h5py", "results", pip),
+        ("meshio", "meshio", "mesh files, ParaView files", pip),
+        ("matplotlib", "matplotlib", "pictures", pip),
+        ("warp", "warp-lang", "the explicit solver", pip),
+        ("dolfinx", "fenics-dolfinx", "the implicit solver", apt),
+        ("petsc4py", "petsc4py", "the implicit solver", apt),
+    ]
+    return [
+        Package(module, _version(distribution) if importlib.util.find_spec(module) else None, needed_for, how)
+        for module, distribution, needed_for, how in uses
+    ]
+
+
+def warp_devices() -> list[dict[str, str | float]]:
+    """The devices the explicit solver can run on: alias, name, memory [MB, 10^6 bytes]; none without Warp."""
+    if importlib.util.find_spec("warp") is None:
+        return []
+    host_bytes = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return [
+        {
+            "alias": device.alias,
+            "name": device.name if device.is_cuda else cpu_name(),
+            "memory_mb": (device.total_memory if device.is_cuda else host_bytes) / 1e6,
+        }
+        for device in _warp().get_devices()
+    ]
+
+
+def _from_proc(path: str, key: str) -> str | None:
+    """The value of the first `key: value` line there; None without one, or without /proc."""
+    try:
+        lines = Path(path).read_text().splitlines()
+    except OSError:
+        return None
+    return next((line.partition(":")[2].strip() for line in lines if line.startswith(key)), None)
+
+
+def _version(distribution: str) -> str:
+    try:
+        return metadata.version(distribution)
+    except metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _warp():
+    import warp  # here and not above: it takes most of a second, and the implicit solver does without
+
+    warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)  # its greeting goes to stdout
+    return warp

@@ -1,0 +1,62 @@
+"""A validated scene -> what a solver starts from: points, walls, constants, how to measure the run-out."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mpm.analytic import eq4, eq45
+from mpm.config import Box, Column, Scene
+from mpm.drucker_prager import Constants
+from mpm.geometry import seed
+from mpm.gimp import HALF_LENGTH_IN_CELLS
+from mpm.lattice import Walls, walls_of
+from mpm.runout import Measure
+
+
+@dataclass(frozen=True)
+class Body:
+    """Initial state of a scene: `x` (n, 3) [m], `point_volume` [m3], `point_mass` [kg], all points alike."""
+
+    scene: Scene
+    x: np.ndarray
+    point_volume: float
+    point_mass: float
+    constants: Constants
+    walls: Walls
+    measure: Measure
+    height: float
+
+    @property
+    def time_scale(self) -> float:
+        """sqrt(h0/g) [s], the time of free fall up to a factor; infinite without gravity."""
+        gravity = self.scene.loads.gravity
+        return float(np.sqrt(self.height / gravity)) if gravity > 0 else float("inf")
+
+
+def build(scene: Scene) -> Body:
+    """Seed the points of a scene. Raises SceneError for geometry that cannot be seeded."""
+    cell = scene.grid.cell
+    seeds = seed(scene.geometry, cell)
+    axes = (0,) if isinstance(scene.geometry, Box) else (0, 1)
+    measure = Measure(axes, seeds.reference, HALF_LENGTH_IN_CELLS * cell, cell)
+    constants = scene.material.constants()
+    volume = (0.5 * cell) ** 3
+    return Body(
+        scene=scene,
+        x=seeds.x,
+        point_volume=volume,
+        point_mass=constants.density * volume,
+        constants=constants,
+        walls=walls_of(scene),
+        measure=measure,
+        height=seeds.height,
+    )
+
+
+def theory(scene: Scene) -> dict[str, float | None]:
+    """Run-outs of Eq. 4 and of Eq. 5 in Eq. 4 with theta = phi [-]; None where there is no column."""
+    tangent = float(np.tan(np.radians(scene.material.friction_angle)))
+    if not isinstance(scene.geometry, Column) or scene.material.model == "elastic" or tangent == 0:
+        return {"eq4": None, "eq45": None}
+    lambda0 = scene.geometry.aspect_ratio
+    return {"eq4": float(eq4(lambda0, tangent)), "eq45": float(eq45(lambda0, tangent))}

@@ -1,0 +1,139 @@
+"""Provenance: what a result says about itself holds true, and asking costs no heavy import."""
+
+import importlib.util
+import os
+import re
+import shutil
+import subprocess
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mpm import provenance as pv
+
+
+def python(code: str) -> str:
+    """What a fresh interpreter prints: here an import of this test session would hide one of the module."""
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+
+def test_says_what_the_run_was_computed_with():
+    record = pv.provenance("cpu", "float64")
+    assert record["numpy"] == np.__version__
+    assert record["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert re.fullmatch(r"\d+\.\d+\.\d+", record["repose"])
+    assert re.fullmatch(r"unknown|[0-9a-f]{40}(-dirty)?", record["commit"])
+    assert (record["device"], record["precision"]) == ("cpu", "float64")
+    assert record["device_name"] == record["cpu"] != ""
+    assert record["cores"] == os.cpu_count()
+    age = datetime.now(UTC) - datetime.fromisoformat(record["date"])
+    assert timedelta(seconds=-1) < age < timedelta(minutes=1)
+
+
+def test_every_entry_fits_an_hdf5_attribute(tmp_path):
+    import h5py
+
+    record = pv.provenance("cpu", "float32")
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file.attrs.update(record)
+        assert dict(file.attrs) == record
+
+
+def test_on_the_host_nothing_heavy_is_imported():
+    code = """
+import sys
+from mpm.provenance import installed, provenance
+provenance("cpu", "float64"), installed()
+print(sorted({"warp", "numpy", "scipy", "dolfinx", "petsc4py", "matplotlib"} & set(sys.modules)))
+"""
+    assert python(code) == "[]"
+
+
+@pytest.mark.gpu
+def test_on_a_gpu_the_device_has_its_own_name():
+    wp = pytest.importorskip("warp")
+    if not wp.is_cuda_available():
+        pytest.skip("no CUDA device here")
+    assert pv.provenance("cuda:0", "float32")["device_name"] == wp.get_device("cuda:0").name
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="git is not installed")
+def test_commit_follows_the_checkout(tmp_path, monkeypatch):
+    for variable in [name for name in os.environ if name.startswith("GIT_")]:
+        monkeypatch.delenv(variable)  # set while a hook runs these tests: git would look elsewhere
+
+    def git(*words: str) -> str:
+        return subprocess.run(
+            ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b.c", *words],
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+
+    assert pv.git_commit(tmp_path) == "unknown"
+    git("init", "--quiet")
+    assert pv.git_commit(tmp_path) == "unknown"  # a repository without a commit
+    file = tmp_path / "a.txt"
+    file.write_text("one")
+    git("add", "a.txt")
+    git("commit", "--quiet", "--no-gpg-sign", "-m", "one")
+    git("tag", "-a", "v1", "-m", "tags do not replace the commit")
+    head = git("rev-parse", "HEAD")
+    assert pv.git_commit(tmp_path) == head
+    (tmp_path / "untracked.h5").write_text("a result")
+    assert pv.git_commit(tmp_path) == head
+    file.write_text("two")
+    assert pv.git_commit(tmp_path) == f"{head}-dirty"
+    inside = tmp_path / "installed" / "copy"
+    inside.mkdir(parents=True)
+    assert pv.git_commit(inside) == "unknown"  # another project's repository is not this one's
+
+
+def test_without_git_the_commit_is_unknown(tmp_path, monkeypatch):
+    (tmp_path / ".git").mkdir()
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert pv.git_commit(tmp_path) == "unknown"
+    assert pv.provenance("cpu", "float64")["commit"] == "unknown"
+
+
+def test_peak_memory_is_this_process_and_grows_by_what_is_allocated():
+    larger_parent = bytearray(b"x" * 200_000_000)  # Linux would pass its peak on to a child
+    before = float(python("from mpm.provenance import peak_memory_mb as peak; print(peak())"))
+    after = float(python("from mpm.provenance import peak_memory_mb as peak; b = b'x' * 200_000_000; print(peak())"))
+    assert 5 < before < 100 < len(larger_parent) / 1e6
+    assert after - before == pytest.approx(200, abs=20)
+
+
+def test_installed_lists_each_library_with_its_version():
+    packages = {package.name: package for package in pv.installed()}
+    names = "numpy scipy pydantic h5py meshio matplotlib warp dolfinx petsc4py"
+    assert set(packages) == set(names.split())
+    assert packages["numpy"].version == np.__version__
+    assert all(package.needed_for and package.how_to_get for package in packages.values())
+    assert "python3-dolfinx-real" in packages["dolfinx"].how_to_get
+
+
+def test_installed_gives_no_version_to_what_is_missing(monkeypatch):
+    found = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "dolfinx" else found(name))
+    versions = {package.name: package.version for package in pv.installed()}
+    assert versions["dolfinx"] is None
+    assert versions["numpy"] is not None
+
+
+def test_warp_devices_name_the_host_first():
+    pytest.importorskip("warp")
+    host = pv.warp_devices()[0]
+    assert host["alias"] == "cpu"
+    assert host["name"] == pv.cpu_name()
+    if Path("/proc/meminfo").exists():
+        total_kib = int(re.search(r"MemTotal:\s+(\d+)", Path("/proc/meminfo").read_text())[1])
+        assert host["memory_mb"] == pytest.approx(total_kib * 1024 / 1e6, rel=0.01)
+
+
+def test_without_warp_there_are_no_devices(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert pv.warp_devices() == []
