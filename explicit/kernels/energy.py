@@ -1,0 +1,63 @@
+"""Energies of points and grid at one instant."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from explicit.kernels.layout import E_ELASTIC, KE_GRID, KE_POINTS, LEDGER_SLOTS, layout
+from mpm.drucker_prager import drucker_prager
+
+
+@functools.cache
+def energy_kernels(real):
+    """Return the kernels for `real` (wp.float32 or wp.float64)."""
+    types = layout(real)
+    name = types.name
+    vec3 = types.vec3
+    vec4 = types.vec4
+    vec6 = types.vec6
+    Setup = types.Setup
+    float64 = wp.float64
+    Material = drucker_prager(real).Material
+    half, three = wp.constant(real(0.5)), wp.constant(real(3.0))
+    slots = wp.constant(LEDGER_SLOTS)
+
+    @wp.kernel(module=name)
+    def point_energy(
+        setup: Setup,
+        material: Material,
+        v: wp.array(dtype=vec3),
+        sigma: wp.array(dtype=vec6),
+        volume: wp.array(dtype=real),
+        energy: wp.array2d(dtype=float64),
+    ):
+        """Kinetic energy of the points and elastic energy p^2/(2K) + J2/(2G) per volume."""
+        p = wp.tid()
+        s = sigma[p]
+        mean = (s[0] + s[1] + s[2]) / three
+        j2 = (
+            half * ((s[0] - mean) * (s[0] - mean) + (s[1] - mean) * (s[1] - mean) + (s[2] - mean) * (s[2] - mean))
+            + s[3] * s[3]
+            + s[4] * s[4]
+            + s[5] * s[5]
+        )
+        elastic = half * (mean * mean / material.bulk + j2 / material.shear) * volume[p]
+        wp.atomic_add(energy, KE_POINTS, p % slots, float64(half * setup.mass * wp.dot(v[p], v[p])))
+        wp.atomic_add(energy, E_ELASTIC, p % slots, float64(elastic))
+
+    @wp.kernel(module=name)
+    def grid_energy(
+        node_velocity: wp.array(dtype=vec4),
+        node_mapped: wp.array(dtype=vec4),
+        energy: wp.array2d(dtype=float64),
+    ):
+        """Kinetic energy of the grid with the velocities of the second mapping."""
+        n = wp.tid()
+        v = node_mapped[n]
+        wp.atomic_add(energy, KE_GRID, n % slots, float64(half * node_velocity[n][0] * wp.dot(v, v)))
+
+    return SimpleNamespace(
+        point_energy=point_energy,
+        grid_energy=grid_energy,
+    )

@@ -1,0 +1,134 @@
+"""Grid phases: clearing, momentum balance with local damping, wall conditions."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from explicit.kernels.layout import DT, GRAVITY, LEDGER_SLOTS, WORK_DAMPING, WORK_EXTERNAL, layout
+from mpm.lattice import FIXED, FREE
+
+
+@functools.cache
+def grid_kernels(real):
+    """Return the kernels for `real` (wp.float32 or wp.float64)."""
+    types = layout(real)
+    name = types.name
+    vec3 = types.vec3
+    vec4 = types.vec4
+    Pencils = types.Pencils
+    Walls = types.Walls
+    Setup = types.Setup
+    float64 = wp.float64
+    zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
+    slots = wp.constant(LEDGER_SLOTS)
+
+    @wp.func(module=name)
+    def held(walls: Walls, axis: int, node: int):
+        """Condition code of the wall that node index `node` on `axis` touches or lies beyond."""
+        kind = FREE
+        if node <= walls.low[axis]:
+            kind = walls.low_kind[axis]
+        if node >= walls.high[axis]:
+            kind = wp.max(kind, walls.high_kind[axis])
+        return kind
+
+    @wp.func(module=name)
+    def free_components(walls: Walls, i: int, j: int, k: int):
+        """1 on the free components of a node's velocity, 0 on the held ones."""
+        on_x = held(walls, 0, i)
+        on_y = held(walls, 1, j)
+        on_z = held(walls, 2, k)
+        mask = vec3(one, one, one)
+        if on_x > FREE:
+            mask[0] = zero
+        if on_y > FREE:
+            mask[1] = zero
+        if on_z > FREE:
+            mask[2] = zero
+        if on_x == FIXED or on_y == FIXED or on_z == FIXED:
+            mask = vec3(zero, zero, zero)
+        return mask
+
+    @wp.func(module=name)
+    def node_mask(walls: Walls, pencils: Pencils, pencil_of: wp.array(dtype=wp.int32), n: int):
+        window = pencils.base.shape[1]
+        i = pencil_of[n] / window
+        j = pencil_of[n] - i * window
+        return free_components(walls, i + pencils.i0, j + pencils.j0, n - pencils.base[i, j])
+
+    @wp.kernel(module=name)
+    def clear_grid(
+        clock: wp.array(dtype=float64),
+        node_momentum: wp.array(dtype=vec4),
+        node_force: wp.array(dtype=vec4),
+        node_mapped: wp.array(dtype=vec4),
+    ):
+        if clock[DT] == float64(0.0):
+            return
+        n = wp.tid()
+        node_momentum[n] = vec4(zero, zero, zero, zero)
+        node_force[n] = vec4(zero, zero, zero, zero)
+        node_mapped[n] = vec4(zero, zero, zero, zero)
+
+    @wp.kernel(module=name)
+    def update_grid(
+        setup: Setup,
+        walls: Walls,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        pencil_of: wp.array(dtype=wp.int32),
+        node_momentum: wp.array(dtype=vec4),
+        node_force: wp.array(dtype=vec4),
+        ledger: wp.array2d(dtype=float64),
+    ):
+        """Momentum and force in; (m, v_new) and the velocity increment dt a out."""
+        dt = real(clock[DT])
+        if dt == zero:
+            return
+        n = wp.tid()
+        q = node_momentum[n]
+        m = q[0]
+        if m > zero:
+            mask = node_mask(walls, pencils, pencil_of, n)
+            v = wp.cw_mul(mask, vec3(q[1], q[2], q[3]) / m)
+            f = wp.cw_mul(mask, vec3(node_force[n][0], node_force[n][1], node_force[n][2]))
+            damped = vec3(zero, zero, zero)
+            if setup.damping > zero:
+                size = setup.damping * wp.length(f)
+                for axis in range(3):
+                    if wp.abs(v[axis]) > setup.still:
+                        damped[axis] = size * wp.sign(v[axis]) * mask[axis]
+            dv = (dt / m) * (f - damped)
+            v_new = v + dv
+            node_momentum[n] = vec4(m, v_new[0], v_new[1], v_new[2])
+            node_force[n] = vec4(dv[0], dv[1], dv[2], zero)
+            lifted = -m * real(clock[GRAVITY]) * v_new[2] * dt
+            wp.atomic_add(ledger, WORK_EXTERNAL, n % slots, float64(lifted))
+            if setup.damping > zero:
+                wp.atomic_add(ledger, WORK_DAMPING, n % slots, float64(wp.dot(damped, v_new) * dt))
+
+    @wp.kernel(module=name)
+    def hold_walls(
+        walls: Walls,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        pencil_of: wp.array(dtype=wp.int32),
+        node_velocity: wp.array(dtype=vec4),
+        node_mapped: wp.array(dtype=vec4),
+    ):
+        """Nodal velocity of the second mapping: momentum over mass, wall conditions applied."""
+        if clock[DT] == float64(0.0):
+            return
+        n = wp.tid()
+        m = node_velocity[n][0]
+        if m > zero:
+            mask = node_mask(walls, pencils, pencil_of, n) / m
+            q = node_mapped[n]
+            node_mapped[n] = vec4(mask[0] * q[0], mask[1] * q[1], mask[2] * q[2], zero)
+
+    return SimpleNamespace(
+        clear_grid=clear_grid,
+        update_grid=update_grid,
+        hold_walls=hold_walls,
+    )

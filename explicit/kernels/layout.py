@@ -1,0 +1,88 @@
+"""What all kernels of the explicit step share: index names, vector types, structs.
+
+Node arrays hold only the nodes stored by `PencilGrid`; a point reaches node (i, j, k) through
+`pencils.base[i - i0, j - j0] + k`, so three nodes of one pencil lie side by side. Time lives on the device in
+`clock`: every kernel returns at once when the current step length is zero, which is how a batch of steps
+stops early without the host looking in.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+# clock: float64 scalars of the running step
+TIME, DT, GRAVITY, TARGET, TRAVEL, STEPS = range(6)
+CLOCK_SIZE = 6
+# speed: largest |v| of the points per axis and largest speed at which a point is carried, of the last step
+CARRIED = 3
+SPEED_SIZE = 4
+# fault: index + 1 of a point whose state is not finite, of a point that crossed half a cell in one step;
+# 1 where a fixed time step passes the Courant limit h/(c + |v|)
+NOT_FINITE, TOO_FAST, OVER_LIMIT = range(3)
+FAULT_SIZE = 3
+# ledger: time integrals [J], each spread over slots so that GPU atomics do not queue on one address
+WORK_EXTERNAL, WORK_DAMPING, WORK_PLASTIC = range(3)
+LEDGER_ROWS = 3
+LEDGER_SLOTS = 256
+# energies of one instant [J], spread likewise
+KE_POINTS, KE_GRID, E_ELASTIC = range(3)
+ENERGY_ROWS = 3
+
+
+@functools.cache
+def layout(real):
+    """Types and structs for `real` (wp.float32 or wp.float64), and the Warp module all kernels go into."""
+    name = f"repose_{real.__name__}"
+    # Warp's default CPU flags cap SLP vectorisation, which costs a fifth of the throughput here.
+    options = {"enable_backward": False, "cpu_compiler_flags": "-march=native"}
+    wp.set_module_options(options, module=wp.get_module(name))
+    float64 = wp.float64
+
+    @wp.struct
+    class Pencils:
+        """Stored nodes: pencil (i, j) of the plan window holds nodes base[i, j] + k."""
+
+        base: wp.array2d(dtype=wp.int32)
+        i0: wp.int32
+        j0: wp.int32
+
+    @wp.struct
+    class Walls:
+        """Planes that carry a condition: nodes at or beyond `low`/`high` [node index], codes per face."""
+
+        low: wp.vec3i
+        high: wp.vec3i
+        low_kind: wp.vec3i
+        high_kind: wp.vec3i
+
+    @wp.struct
+    class Setup:
+        """Constants of a run. `cell` [m], `mass` of a point [kg], `damping` [-], `still` [m/s] (no damping
+        below), `fixed_dt` [s] (0: adaptive), `wave` P-wave speed [m/s], `gravity` [m/s2], `ramp` [s],
+        `margin` [m] that points may travel before the stored nodes must follow."""
+
+        cell: real
+        inv_cell: real
+        mass: real
+        damping: real
+        still: real
+        cfl: float64
+        fixed_dt: float64
+        wave: float64
+        gravity: float64
+        ramp: float64
+        margin: float64
+        stencil: wp.int32  # 3, as data: unrolling x as well doubles the cold compile and gains nothing
+
+    return SimpleNamespace(
+        name=name,
+        vec2=wp.types.vector(2, real),
+        vec3=wp.types.vector(3, real),
+        vec4=wp.types.vector(4, real),
+        vec6=wp.types.vector(6, real),
+        mat33=wp.types.matrix((3, 3), real),
+        Pencils=Pencils,
+        Walls=Walls,
+        Setup=Setup,
+    )

@@ -1,0 +1,110 @@
+"""Warp kernels that find which grid nodes the material needs: one run of nodes along z per (i, j)."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from explicit.kernels.layout import layout
+from mpm.gimp import NODES_PER_AXIS, gimp
+
+MARGIN = 1  # cells that a point may travel before the stored nodes must be found anew
+EMPTY = 2**30
+REACH = NODES_PER_AXIS - 1
+
+
+@functools.cache
+def pencil_kernels(real):
+    """Return the kernels for `real`; they share the Warp module of the step kernels (one compile)."""
+    types = layout(real)
+    name, vec3 = types.name, types.vec3
+    base_node = gimp(real).base
+    margin, empty, reach = wp.constant(MARGIN), wp.constant(EMPTY), wp.constant(REACH)
+
+    @wp.kernel(module=name)
+    def plan_bounds(x: wp.array(dtype=vec3), inv_cell: real, bounds: wp.array(dtype=wp.int32)):
+        """Smallest and largest first stencil node over all points: (i_min, j_min, i_max, j_max)."""
+        p = wp.tid()
+        i = base_node(x[p][0], inv_cell)
+        j = base_node(x[p][1], inv_cell)
+        # Plain reads first: an atomic only when the point lies outside what is recorded.
+        if i < bounds[0]:
+            wp.atomic_min(bounds, 0, i)
+        if j < bounds[1]:
+            wp.atomic_min(bounds, 1, j)
+        if i > bounds[2]:
+            wp.atomic_max(bounds, 2, i)
+        if j > bounds[3]:
+            wp.atomic_max(bounds, 3, j)
+
+    @wp.kernel(module=name)
+    def clear_spans(low: wp.array2d(dtype=wp.int32), high: wp.array2d(dtype=wp.int32)):
+        i, j = wp.tid()
+        low[i, j] = empty
+        high[i, j] = -empty
+
+    @wp.kernel(module=name)
+    def point_spans(
+        x: wp.array(dtype=vec3),
+        inv_cell: real,
+        i0: wp.int32,
+        j0: wp.int32,
+        low: wp.array2d(dtype=wp.int32),
+        high: wp.array2d(dtype=wp.int32),
+    ):
+        """Range of first stencil nodes along z of the points whose stencil starts at pencil (i, j)."""
+        p = wp.tid()
+        i = base_node(x[p][0], inv_cell) - i0
+        j = base_node(x[p][1], inv_cell) - j0
+        k = base_node(x[p][2], inv_cell)
+        if k < low[i, j]:
+            wp.atomic_min(low, i, j, k)
+        if k > high[i, j]:
+            wp.atomic_max(high, i, j, k)
+
+    @wp.kernel(module=name)
+    def widen_spans(
+        low: wp.array2d(dtype=wp.int32),
+        high: wp.array2d(dtype=wp.int32),
+        first: wp.array2d(dtype=wp.int32),
+        count: wp.array2d(dtype=wp.int32),
+    ):
+        """Nodes of each pencil that a stencil can reach while points travel less than the margin."""
+        i, j = wp.tid()
+        bottom = int(empty)
+        top = -int(empty)
+        for a in range(i - reach - margin, i + margin + 1):
+            for b in range(j - reach - margin, j + margin + 1):
+                if a >= 0 and b >= 0 and a < low.shape[0] and b < low.shape[1]:
+                    bottom = wp.min(bottom, low[a, b])
+                    top = wp.max(top, high[a, b])
+        first[i, j] = bottom - margin
+        count[i, j] = wp.max(top - bottom + 1 + reach + 2 * margin, 0)
+
+    @wp.kernel(module=name)
+    def shift_base(first: wp.array2d(dtype=wp.int32), base: wp.array2d(dtype=wp.int32)):
+        """From "index of the pencil's first node" to "index of its node k = 0", so that node k is base + k."""
+        i, j = wp.tid()
+        base[i, j] = base[i, j] - first[i, j]
+
+    @wp.kernel(module=name)
+    def label_nodes(
+        first: wp.array2d(dtype=wp.int32),
+        count: wp.array2d(dtype=wp.int32),
+        base: wp.array2d(dtype=wp.int32),
+        pencil_of: wp.array(dtype=wp.int32),
+    ):
+        """Which pencil (i * window + j) each stored node belongs to."""
+        i, j = wp.tid()
+        start = base[i, j] + first[i, j]
+        for n in range(start, start + count[i, j]):
+            pencil_of[n] = i * count.shape[1] + j
+
+    return SimpleNamespace(
+        plan_bounds=plan_bounds,
+        clear_spans=clear_spans,
+        point_spans=point_spans,
+        widen_spans=widen_spans,
+        shift_base=shift_base,
+        label_nodes=label_nodes,
+    )

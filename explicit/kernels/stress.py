@@ -1,0 +1,124 @@
+"""The points' stress update: strain increment, objective rotation, return map."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from explicit.kernels.layout import DT, LEDGER_SLOTS, WORK_PLASTIC, layout
+from mpm.drucker_prager import drucker_prager
+from mpm.gimp import gimp
+
+
+@functools.cache
+def stress_kernels(real):
+    """Return the kernels for `real` (wp.float32 or wp.float64)."""
+    types = layout(real)
+    name = types.name
+    vec3 = types.vec3
+    vec4 = types.vec4
+    vec6 = types.vec6
+    mat33 = types.mat33
+    Pencils = types.Pencils
+    Setup = types.Setup
+    float64 = wp.float64
+    basis, law = gimp(real), drucker_prager(real)
+    base_node, weights, return_map = basis.base, basis.weights, law.return_map
+    Material = law.Material
+    zero, one, two, half, three = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 3.0))
+    slots = wp.constant(LEDGER_SLOTS)
+
+    @wp.func(module=name)
+    def rotate(sigma: vec6, spin: vec3):
+        """Q sigma Q^T for the rotation Q of the half-step (Hughes-Winget) formula; `spin` is the axial vector
+        of the spin increment. A plain Jaumann increment W sigma - sigma W would lengthen sigma each step."""
+        a = half * spin
+        c = two / (one + wp.dot(a, a))
+        skew = wp.skew(a)
+        q = wp.identity(3, dtype=real) + c * (skew + skew * skew)
+        s = mat33(sigma[0], sigma[5], sigma[4], sigma[5], sigma[1], sigma[3], sigma[4], sigma[3], sigma[2])
+        r = q * s * wp.transpose(q)
+        return vec6(r[0, 0], r[1, 1], r[2, 2], r[1, 2], r[0, 2], r[0, 1])
+
+    @wp.kernel(module=name)
+    def update_stress(
+        setup: Setup,
+        material: Material,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        node_mapped: wp.array(dtype=vec4),
+        carry: wp.array(dtype=vec3),
+        x: wp.array(dtype=vec3),
+        sigma: wp.array(dtype=vec6),
+        volume: wp.array(dtype=real),
+        eps_p_eqv: wp.array(dtype=real),
+        ledger: wp.array2d(dtype=float64),
+    ):
+        """Strain increment from the mapped velocity, objective trial stress, return map; then the point moves."""
+        dt = real(clock[DT])
+        if dt == zero:
+            return
+        p = wp.tid()
+        xp = x[p]
+        i = base_node(xp[0], setup.inv_cell)
+        j = base_node(xp[1], setup.inv_cell)
+        k = base_node(xp[2], setup.inv_cell)
+        sx, dx = weights(xp[0], setup.inv_cell, i)
+        sy, dy = weights(xp[1], setup.inv_cell, j)
+        sz, dz = weights(xp[2], setup.inv_cell, k)
+        lx = vec4(zero, zero, zero, zero)
+        ly = vec4(zero, zero, zero, zero)
+        lz = vec4(zero, zero, zero, zero)
+        for a in range(setup.stencil):
+            for b in range(3):
+                n = pencils.base[i + a - pencils.i0, j + b - pencils.j0] + k
+                v0 = node_mapped[n]
+                v1 = node_mapped[n + 1]
+                v2 = node_mapped[n + 2]
+                mean = sz[0] * v0 + sz[1] * v1 + sz[2] * v2
+                slope = dz[0] * v0 + dz[1] * v1 + dz[2] * v2
+                lx += (dx[a] * sy[b]) * mean
+                ly += (sx[a] * dy[b]) * mean
+                lz += (sx[a] * sy[b]) * slope
+        lx = dt * lx
+        ly = dt * ly
+        lz = dt * lz
+        # columns lx, ly, lz of dL = dt grad v
+        volume[p] = volume[p] * wp.determinant(
+            mat33(one + lx[0], ly[0], lz[0], lx[1], one + ly[1], lz[1], lx[2], ly[2], one + lz[2])
+        )
+        spin = half * vec3(ly[2] - lz[1], lz[0] - lx[2], lx[1] - ly[0])
+        s = rotate(sigma[p], spin)
+        dilation = lx[0] + ly[1] + lz[2]
+        mean_trial = (s[0] + s[1] + s[2]) / three + material.bulk * dilation
+        g2 = two * material.shear
+        third = dilation / three
+        old_mean = (s[0] + s[1] + s[2]) / three
+        deviator = vec6(
+            s[0] - old_mean + g2 * (lx[0] - third),
+            s[1] - old_mean + g2 * (ly[1] - third),
+            s[2] - old_mean + g2 * (lz[2] - third),
+            s[3] + material.shear * (ly[2] + lz[1]),
+            s[4] + material.shear * (lx[2] + lz[0]),
+            s[5] + material.shear * (lx[1] + ly[0]),
+        )
+        j2 = (
+            half * (deviator[0] * deviator[0] + deviator[1] * deviator[1] + deviator[2] * deviator[2])
+            + deviator[3] * deviator[3]
+            + deviator[4] * deviator[4]
+            + deviator[5] * deviator[5]
+        )
+        mean_new, scale, d_eps, work = return_map(mean_trial, wp.sqrt(j2), material)
+        s = scale * deviator
+        s[0] = s[0] + mean_new
+        s[1] = s[1] + mean_new
+        s[2] = s[2] + mean_new
+        sigma[p] = s
+        if d_eps > zero:
+            eps_p_eqv[p] = eps_p_eqv[p] + d_eps
+            wp.atomic_add(ledger, WORK_PLASTIC, p % slots, float64(work * volume[p]))
+        x[p] = xp + dt * carry[p]
+
+    return SimpleNamespace(
+        update_stress=update_stress,
+    )

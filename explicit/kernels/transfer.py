@@ -1,0 +1,131 @@
+"""Transfers between points and grid: p2g, and g2p with the second mapping."""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from explicit.kernels.layout import CARRIED, DT, GRAVITY, NOT_FINITE, TOO_FAST, layout
+from mpm.gimp import gimp
+
+
+@functools.cache
+def transfer_kernels(real):
+    """Return the kernels for `real` (wp.float32 or wp.float64)."""
+    types = layout(real)
+    name = types.name
+    vec3 = types.vec3
+    vec4 = types.vec4
+    vec6 = types.vec6
+    Pencils = types.Pencils
+    Setup = types.Setup
+    float64 = wp.float64
+    basis = gimp(real)
+    base_node, weights = basis.base, basis.weights
+    zero, half = wp.constant(real(0.0)), wp.constant(real(0.5))
+
+    @wp.kernel(module=name)
+    def p2g(
+        setup: Setup,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        x: wp.array(dtype=vec3),
+        v: wp.array(dtype=vec3),
+        sigma: wp.array(dtype=vec6),
+        volume: wp.array(dtype=real),
+        node_momentum: wp.array(dtype=vec4),
+        node_force: wp.array(dtype=vec4),
+    ):
+        if clock[DT] == float64(0.0):
+            return
+        p = wp.tid()
+        xp = x[p]
+        i = base_node(xp[0], setup.inv_cell)
+        j = base_node(xp[1], setup.inv_cell)
+        k = base_node(xp[2], setup.inv_cell)
+        sx, dx = weights(xp[0], setup.inv_cell, i)
+        sy, dy = weights(xp[1], setup.inv_cell, j)
+        sz, dz = weights(xp[2], setup.inv_cell, k)
+        m = setup.mass
+        vp = v[p]
+        carried = vec4(m, m * vp[0], m * vp[1], m * vp[2])
+        s = -volume[p] * sigma[p]
+        force_x = vec4(s[0], s[5], s[4], zero)
+        force_y = vec4(s[5], s[1], s[3], zero)
+        force_z = vec4(s[4], s[3], s[2], zero)
+        weight = vec4(zero, zero, -m * real(clock[GRAVITY]), zero)
+        for a in range(setup.stencil):
+            for b in range(3):
+                wxy = sx[a] * sy[b]
+                flat = (dx[a] * sy[b]) * force_x + (sx[a] * dy[b]) * force_y + wxy * weight
+                steep = wxy * force_z
+                load = wxy * carried
+                n = pencils.base[i + a - pencils.i0, j + b - pencils.j0] + k
+                for c in range(3):
+                    wp.atomic_add(node_momentum, n + c, sz[c] * load)
+                    wp.atomic_add(node_force, n + c, sz[c] * flat + dz[c] * steep)
+
+    @wp.kernel(module=name)
+    def g2p2g(
+        setup: Setup,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        x: wp.array(dtype=vec3),
+        v: wp.array(dtype=vec3),
+        carry: wp.array(dtype=vec3),
+        node_velocity: wp.array(dtype=vec4),
+        node_increment: wp.array(dtype=vec4),
+        node_mapped: wp.array(dtype=vec4),
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+    ):
+        """FLIP velocity of the point, the velocity that will carry it, and the second mapping (MUSL)."""
+        if clock[DT] == float64(0.0):
+            return
+        p = wp.tid()
+        xp = x[p]
+        i = base_node(xp[0], setup.inv_cell)
+        j = base_node(xp[1], setup.inv_cell)
+        k = base_node(xp[2], setup.inv_cell)
+        sx, _dx = weights(xp[0], setup.inv_cell, i)
+        sy, _dy = weights(xp[1], setup.inv_cell, j)
+        sz, _dz = weights(xp[2], setup.inv_cell, k)
+        moved = vec4(zero, zero, zero, zero)
+        gained = vec4(zero, zero, zero, zero)
+        for a in range(setup.stencil):
+            for b in range(3):
+                wxy = sx[a] * sy[b]
+                n = pencils.base[i + a - pencils.i0, j + b - pencils.j0] + k
+                moved += wxy * (sz[0] * node_velocity[n] + sz[1] * node_velocity[n + 1] + sz[2] * node_velocity[n + 2])
+                gained += wxy * (
+                    sz[0] * node_increment[n] + sz[1] * node_increment[n + 1] + sz[2] * node_increment[n + 2]
+                )
+        vp = v[p] + vec3(gained[0], gained[1], gained[2])
+        carried = vec3(moved[1], moved[2], moved[3])
+        v[p] = vp
+        carry[p] = carried
+        m = setup.mass
+        mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
+        for a in range(setup.stencil):
+            for b in range(3):
+                load = (sx[a] * sy[b]) * mv
+                n = pencils.base[i + a - pencils.i0, j + b - pencils.j0] + k
+                for c in range(3):
+                    wp.atomic_add(node_mapped, n + c, sz[c] * load)
+        # Plain reads first: an atomic only when the point is faster than what is recorded.
+        fastest = zero
+        for axis in range(3):
+            fastest = wp.max(fastest, wp.abs(carried[axis]))
+            if wp.abs(vp[axis]) > speed[axis]:
+                wp.atomic_max(speed, axis, wp.abs(vp[axis]))
+        if fastest > speed[CARRIED]:
+            wp.atomic_max(speed, CARRIED, fastest)
+        if not (wp.isfinite(wp.dot(vp, vp)) and wp.isfinite(wp.dot(carried, carried))):
+            wp.atomic_max(fault, NOT_FINITE, p + 1)
+        if fastest * real(clock[DT]) > half * setup.cell:
+            wp.atomic_max(fault, TOO_FAST, p + 1)
+
+    return SimpleNamespace(
+        p2g=p2g,
+        g2p2g=g2p2g,
+    )

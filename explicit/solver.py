@@ -1,0 +1,264 @@
+"""The explicit solver: state on the device, one step as its phases in order, batches of steps.
+
+Cycle of Wyser et al. 2021/2023 (uGIMP, FLIP, double mapping, Drucker-Prager) without its reference code's
+defects; see `explicit.kernels` for each phase.
+"""
+
+import math
+
+import numpy as np
+import warp as wp
+
+from explicit.kernels import layout as K
+from explicit.kernels import step_kernels
+from explicit.kernels.pencils import MARGIN
+from explicit.pencils import PencilGrid
+from mpm.errors import NumericalError
+from mpm.scene import Body
+
+# Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
+# The reference code's 1e-3 m/s is this share of sqrt(g h0) for a column 1 m high.
+STILL = 3e-4
+STEPS_PER_GRAPH = 10
+MOST_STEPS = 200
+POINT_STATE = ("x", "v", "sigma", "volume", "eps_p_eqv")
+
+
+class ExplicitSolver:
+    """Points and grid of one body on one device.
+
+    Point arrays, all (n,): `x`, `v`, `carry` vec3 [m, m/s], `sigma` vec6 [Pa] in order xx, yy, zz, yz, xz, xy,
+    `volume` [m3], `eps_p_eqv` [-] (empty for elastic scenes).
+    """
+
+    def __init__(self, body: Body, device="cpu"):
+        settings = body.scene.explicit
+        self.body, self.device = body, wp.get_device(device)
+        self.real = getattr(wp, settings.precision)
+        self.k = step_kernels(self.real)
+        self.points = len(body.x)
+        self.averaging = settings.pressure_averaging
+        self._pack(body)
+        self.grid = PencilGrid(self.real, body.scene.grid.cell, self.device)
+        self._allocate_points(body)
+        self.clock = self._zeros(K.CLOCK_SIZE, wp.float64)
+        self.speed = self._zeros(K.SPEED_SIZE, self.real)
+        self.fault = self._zeros(K.FAULT_SIZE, wp.int32)
+        self.ledger = self._zeros((K.LEDGER_ROWS, K.LEDGER_SLOTS), wp.float64)
+        self.energy = self._zeros((K.ENERGY_ROWS, K.LEDGER_SLOTS), wp.float64)
+        self.nodes_stored_max = 0
+        self.fit_grid()
+        self.nodes_stored_start = self.grid.stored
+
+    def _pack(self, body):
+        """Constants of the scene as kernel structs."""
+        scene, settings, k = body.scene, body.scene.explicit, self.k
+        setup = k.Setup()
+        setup.cell, setup.inv_cell = scene.grid.cell, 1.0 / scene.grid.cell
+        setup.mass, setup.damping = body.point_mass, settings.damping
+        setup.still = STILL * math.sqrt(scene.loads.gravity * body.height)
+        setup.cfl, setup.fixed_dt = settings.cfl, settings.time_step or 0.0
+        setup.wave, setup.gravity = body.constants.p_wave_speed, scene.loads.gravity
+        setup.ramp, setup.margin = scene.loads.ramp, MARGIN * scene.grid.cell
+        setup.stencil = 3
+        walls = k.Walls()
+        for name in ("low", "high", "low_kind", "high_kind"):
+            setattr(walls, name, wp.vec3i(*getattr(body.walls, name)))
+        self.setup, self.walls, self.material = setup, walls, k.pack_material(body.constants)
+
+    def _allocate_points(self, body):
+        n, k = self.points, self.k
+        self.x = wp.array(body.x, dtype=k.vec3, device=self.device)
+        self.v = self._zeros(n, k.vec3)
+        self.carry = self._zeros(n, k.vec3)
+        self.sigma = self._zeros(n, k.vec6)
+        self.volume = wp.full(n, self.real(body.point_volume), dtype=self.real, device=self.device)
+        self.eps_p_eqv = self._zeros(n if body.constants.plastic else 0, self.real)
+
+    def _allocate_nodes(self):
+        nodes, k = self.grid.capacity, self.k
+        self.node_momentum = self._zeros(nodes, k.vec4)
+        self.node_force = self._zeros(nodes, k.vec4)
+        self.node_mapped = self._zeros(nodes, k.vec4)
+        if self.averaging:
+            self.cell_mean = self._zeros(nodes, k.vec2)
+
+    def _zeros(self, shape, dtype):
+        return wp.zeros(shape, dtype=dtype, device=self.device)
+
+    @property
+    def time(self) -> float:
+        """Simulated time [s]."""
+        return float(self.clock.numpy()[K.TIME])
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        return int(self.clock.numpy()[K.STEPS])
+
+    @property
+    def time_step(self) -> float:
+        """Length [s] of the next step: the fixed one, or CFL with the points' present speed."""
+        fastest = float(np.max(self.speed.numpy()[: K.CARRIED]))
+        adaptive = self.setup.cfl * self.body.scene.grid.cell / (self.setup.wave + fastest)
+        return self.setup.fixed_dt or adaptive
+
+    @property
+    def bytes_per_point(self) -> int:
+        """Memory of one point's state [bytes]."""
+        arrays = (self.x, self.v, self.carry, self.sigma, self.volume, self.eps_p_eqv)
+        return sum(wp.types.type_size_in_bytes(array.dtype) for array in arrays if array.size)
+
+    @property
+    def bytes(self) -> int:
+        """Memory of points and grid on the device [bytes]."""
+        nodes = [self.node_momentum, self.node_force, self.node_mapped]
+        nodes += [self.cell_mean] if self.averaging else []
+        return self.points * self.bytes_per_point + sum(a.capacity for a in nodes) + self.grid.bytes
+
+    def fit_grid(self):
+        """Store the nodes that the points need now."""
+        if self.grid.follow(self.x):
+            self._allocate_nodes()
+            self._record_step()
+        wp.launch(self.k.reset_travel, 1, inputs=[self.clock], device=self.device)
+        self.nodes_stored_max = max(self.nodes_stored_max, self.grid.stored)
+
+    def _record_step(self):
+        """The step as launches in order. On CUDA a batch of them becomes one graph."""
+        k, n, nodes, clock = self.k, self.points, self.grid.capacity, self.clock
+        pencils = k.Pencils()
+        pencils.base, pencils.i0, pencils.j0 = self.grid.base, self.grid.i0, self.grid.j0
+        setup, walls, pencil_of = self.setup, self.walls, self.grid.pencil_of
+        x, v, carry, sigma, volume = self.x, self.v, self.carry, self.sigma, self.volume
+        momentum, force, mapped = self.node_momentum, self.node_force, self.node_mapped
+        faults = (self.speed, self.fault)
+        plastic = (self.eps_p_eqv, self.ledger)
+        where = (setup, pencils, clock)
+
+        phases = [(k.begin_step, 1, (setup, clock, *faults))]
+        if self.averaging:
+            phases += [
+                (k.clear_cells, nodes, (clock, self.cell_mean)),
+                (k.gather_cell_pressure, n, (*where, x, sigma, volume, self.cell_mean)),
+                (k.spread_cell_pressure, n, (*where, x, sigma, self.cell_mean)),
+            ]
+        phases += [
+            (k.clear_grid, nodes, (clock, momentum, force, mapped)),
+            (k.p2g, n, (*where, x, v, sigma, volume, momentum, force)),
+            (k.update_grid, nodes, (setup, walls, pencils, clock, pencil_of, momentum, force, self.ledger)),
+            (k.g2p2g, n, (*where, x, v, carry, momentum, force, mapped, *faults)),
+            (k.hold_walls, nodes, (walls, pencils, clock, pencil_of, momentum, mapped)),
+            (k.update_stress, n, (setup, self.material, pencils, clock, mapped, carry, x, sigma, volume, *plastic)),
+        ]
+        self._phases = [
+            wp.launch(kernel, dim, inputs=list(inputs), device=self.device, record_cmd=True)
+            for kernel, dim, inputs in phases
+        ]
+        self._graph = None
+
+    def step(self):
+        """One step: the phases in order. Does nothing once the target time is reached."""
+        for phase in self._phases:
+            phase.launch()
+
+    def aim(self, target: float):
+        """Set the time [s] that `advance` must not pass; the last step is shortened to meet it."""
+        self._target = target
+        wp.launch(self.k.set_target, 1, inputs=[self.clock, wp.float64(target)], device=self.device)
+
+    def advance(self, until: float) -> float:
+        """Take a batch of steps towards time `until` [s]: it may end a step past it, or well before, where the
+        stored nodes must follow the points. The target of `aim` is met exactly. Returns the time reached.
+
+        Raises NumericalError when a point's state is not finite, when it crosses half a cell in one step, or
+        when a fixed time step passes the Courant limit (before it is taken).
+        """
+        clock, fastest = self.clock.numpy(), float(np.max(self.speed.numpy()))
+        travelled = clock[K.TRAVEL] + fastest * clock[K.DT]
+        if travelled > 0.5 * self.setup.margin:
+            self.fit_grid()
+            travelled = 0.0
+        dt = self.time_step
+        steps = math.ceil((min(until, self._target) - clock[K.TIME]) / dt - 1e-9)
+        if fastest > 0:
+            steps = min(steps, int(0.8 * (self.setup.margin - travelled) / (fastest * dt)))
+        self._take(min(max(steps, 1), MOST_STEPS))
+        self._check()
+        return self.time
+
+    def _take(self, steps: int):
+        if not self.device.is_cuda:
+            for _ in range(steps):
+                self.step()
+            return
+        if self._graph is None:
+            with wp.ScopedCapture(device=self.device) as capture:
+                for _ in range(STEPS_PER_GRAPH):
+                    self.step()
+            self._graph = capture.graph
+        for _ in range(math.ceil(steps / STEPS_PER_GRAPH)):
+            wp.capture_launch(self._graph)
+
+    @property
+    def state_is_good(self) -> bool:
+        """False once a point has gone wrong; a refused time step leaves the state as it was."""
+        fault = self.fault.numpy()
+        return not (fault[K.NOT_FINITE] or fault[K.TOO_FAST])
+
+    def _check(self):
+        fault = self.fault.numpy()
+        if not fault.any():
+            return
+        where = f"at t = {self.time:.6g} s, step {self.steps}"
+        if self.state_is_good:
+            limit = self.body.scene.grid.cell / (self.setup.wave + float(np.max(self.speed.numpy()[: K.CARRIED])))
+            raise NumericalError(
+                f"time step over the Courant limit {where}: explicit.time_step = {self.setup.fixed_dt:.4g} s "
+                f"must be below h/(c + |v|) = {limit:.4g} s; lower it, or leave it out for the adaptive step"
+            )
+        kind = K.NOT_FINITE if fault[K.NOT_FINITE] else K.TOO_FAST
+        point = int(fault[kind]) - 1
+        what = ("its velocity is not finite", "it crossed more than half a cell in one step")[kind]
+        x, v = self.x.numpy()[point], self.v.numpy()[point]
+        raise NumericalError(
+            f"diverged {where}, point {point}: {what} (x = {np.array2string(x, precision=4)} m, "
+            f"v = {np.array2string(v, precision=4)} m/s, dt = {self.time_step:.3g} s)"
+        )
+
+    def energies(self) -> dict[str, float]:
+        """Energies and time integrals of power [J], with the grid as the last step left it.
+
+        W_ext: work of gravity; W_damping: dissipated by local damping; W_plastic: by yielding.
+        """
+        self.energy.zero_()
+        k, row = self.k, self.energy
+        points = [self.setup, self.material, self.v, self.sigma, self.volume, row]
+        wp.launch(k.point_energy, self.points, inputs=points, device=self.device)
+        nodes = [self.node_momentum, self.node_mapped, row]
+        wp.launch(k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
+        energy, ledger = self.energy.numpy().sum(axis=1), self.ledger.numpy().sum(axis=1)
+        return {
+            "KE_points": float(energy[K.KE_POINTS]),
+            "KE_grid": float(energy[K.KE_GRID]),
+            "E_elastic": float(energy[K.E_ELASTIC]),
+            "W_ext": float(ledger[K.WORK_EXTERNAL]),
+            "W_damping": float(ledger[K.WORK_DAMPING]),
+            "W_plastic": float(ledger[K.WORK_PLASTIC]),
+        }
+
+    def grid_mass(self) -> float:
+        """Mass [kg] that the last step put on the grid."""
+        return float(self.node_momentum.numpy()[:, 0].astype(np.float64).sum())
+
+    def state(self) -> dict[str, np.ndarray]:
+        """Everything a restart needs, as host arrays; `restore` takes it back to the bit."""
+        names = (*POINT_STATE, "clock", "speed", "ledger")
+        return {name: getattr(self, name).numpy().copy() for name in names}
+
+    def restore(self, state: dict[str, np.ndarray]):
+        """Take over a state made by `state`, and store the nodes it needs."""
+        for name in (*POINT_STATE, "clock", "speed", "ledger"):
+            if getattr(self, name).size:
+                getattr(self, name).assign(state[name])
+        self.fit_grid()
