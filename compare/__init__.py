@@ -1,0 +1,1 @@
+"""Command line, pictures and comparisons; reads results, steps nothing itself."""

@@ -1,0 +1,183 @@
+"""The command line: `repose run | resume | plot | validate | scenes | info | demo`."""
+
+import sys
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from compare.terminal import Monitor, err, out, summary_table
+from mpm.errors import NumericalError, SceneError
+
+INTERRUPTED = 130  # what a shell expects after Ctrl-C
+
+app = typer.Typer(
+    help="Granular column collapse: one scene file, explicit and implicit MPM, compared with theory.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+
+
+class Mode(StrEnum):
+    explicit = "explicit"
+    implicit = "implicit"
+
+
+SceneArg = Annotated[str, typer.Argument(metavar="SCENE", help="scene file (TOML) or a preset's name")]
+SetOption = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="override a scene key")]
+DeviceOption = Annotated[str, typer.Option(help="cpu or cuda:0, cuda:1, ...")]
+DirArg = Annotated[Path, typer.Argument(metavar="DIR", help="folder of a run")]
+
+
+@app.command()
+def run(
+    scene: SceneArg,
+    mode: Annotated[Mode, typer.Option(help="solver")] = Mode.explicit,
+    device: DeviceOption = "cpu",
+    set_: SetOption = [],  # noqa: B006 (typer reads the default, nothing mutates it)
+    directory: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="default: runs/SCENE-MODE")] = None,
+    force: Annotated[bool, typer.Option("--force", help="replace an earlier run in DIR")] = False,
+):
+    """Run a scene: writes DIR/results.h5, DIR/summary.json and DIR/vtk for ParaView."""
+    from mpm.config import load_scene
+
+    validated = load_scene(scene, set_)
+    if mode is Mode.implicit:
+        import implicit._dolfinx  # noqa: F401  says how to get dolfinx where it is missing
+
+        raise SceneError("--mode implicit: this version has no implicit solver yet; use --mode explicit")
+    from explicit.run import run as run_explicit
+
+    directory = directory or Path("runs") / f"{validated.name}-{mode.value}"
+    _report(run_explicit(validated, directory, device, force, Monitor()), directory)
+
+
+@app.command()
+def resume(
+    directory: DirArg,
+    device: Annotated[str | None, typer.Option(help="default: the device the run was started on")] = None,
+):
+    """Go on with a run from its last checkpoint."""
+    from explicit.run import resume as resume_explicit
+
+    _report(resume_explicit(directory, device, Monitor()), directory)
+
+
+@app.command()
+def plot(directory: DirArg):
+    """Draw morphology.png, profile.png and history.png in DIR."""
+    for path in _draw(directory):
+        out.print(str(path))
+
+
+@app.command()
+def validate(
+    scene: SceneArg,
+    set_: SetOption = [],  # noqa: B006
+    table1: Annotated[bool, typer.Option("--table1", help="element, node and point counts of Table 1")] = False,
+):
+    """Check a scene file and say what it would compute; nothing is run."""
+    from mpm.config import load_scene
+    from mpm.scene import build, theory
+
+    body = build(load_scene(scene, set_))
+    resolved = body.scene
+    dt = resolved.explicit.cfl * resolved.grid.cell / body.constants.p_wave_speed
+    out.print(f"{resolved.name}: valid. {len(body.x):,} points, cell {resolved.grid.cell:g} m")
+    out.print(f"first time step {dt:.4g} s, time scale sqrt(h0/g) = {body.time_scale:.4g} s")
+    out.print(", ".join(f"{key} = {value:.4f}" for key, value in theory(resolved).items() if value is not None))
+    if table1:
+        out.print(_table1(body))
+
+
+@app.command()
+def scenes():
+    """List the scenes that come with Repose."""
+    from mpm.config import preset_names, read_scene_file
+
+    for name in preset_names():
+        _, folder = read_scene_file(name)
+        first = (folder / f"{name}.toml").read_text(encoding="utf-8").splitlines()[0]
+        out.print(f"{name:14} {first.lstrip('# ')}")
+
+
+@app.command()
+def info():
+    """Versions, devices, what is missing and how to get it."""
+    from mpm.provenance import PROJECT, git_commit, installed, warp_devices
+
+    table = Table(box=None, padding=(0, 2))
+    for heading in ("package", "version", "needed for", "how to get it"):
+        table.add_column(heading)
+    for package in installed():
+        version = package.version or "missing"
+        table.add_row(package.name, version, package.needed_for, "" if package.version else package.how_to_get)
+    out.print(table)
+    for device in warp_devices():
+        out.print(", ".join(f"{key} {value}" for key, value in device.items()))
+    out.print(f"commit {git_commit(PROJECT)}")
+
+
+@app.command()
+def demo(directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path("runs/demo")):
+    """A small damped quarter column, with pictures; replaces the last demo."""
+    from explicit.run import run as run_explicit
+    from mpm.config import load_scene
+
+    _report(run_explicit(load_scene("column_small"), directory, force=True, monitor=Monitor()), directory)
+    for path in _draw(directory):
+        out.print(str(path))
+
+
+def _report(summary: dict, directory: Path):
+    out.print(summary_table(summary))
+    out.print(f"results in {directory} (`repose plot {directory}` draws them; ParaView opens vtk/run.pvd)")
+
+
+def _draw(directory: Path) -> list[Path]:
+    from compare.plots import plot_history, plot_morphology, plot_profile
+    from mpm.results import Results
+
+    results = Results.open(directory)
+    drawings = {"morphology.png": plot_morphology, "profile.png": plot_profile, "history.png": plot_history}
+    return [draw(results, directory / name) for name, draw in drawings.items()]
+
+
+def _table1(body) -> Table:
+    """The paper's counts beside the nodes that are really stored."""
+    from explicit.solver import ExplicitSolver
+    from mpm.config import Column
+    from mpm.lattice import paper_grid
+    from mpm.results import Results
+
+    scene = body.scene
+    if not isinstance(scene.geometry, Column) or scene.geometry.symmetry != "quarter":
+        raise SceneError("--table1: Table 1 lists quarter columns only")
+    n_el, n_no = paper_grid(round(scene.geometry.radius / scene.grid.cell), scene.geometry.aspect_ratio)
+    table = Table(box=None, padding=(0, 2))
+    for heading in ("lambda0", "n_el", "n_no", "n_mp", "nodes stored at start", "nodes stored at most"):
+        table.add_column(heading, justify="right")
+    at_most, folder = "run it first", Path("runs") / f"{scene.name}-explicit"
+    if (folder / "summary.json").is_file():
+        at_most = f"{Results.open(folder).summary()['nodes_stored_max']:,} ({folder})"
+    start = ExplicitSolver(body).nodes_stored_start
+    table.add_row(f"{scene.geometry.aspect_ratio:g}", str(n_el), str(n_no), str(len(body.x)), f"{start:,}", at_most)
+    return table
+
+
+def main():
+    """Entry point. Exit codes: 0 done, 2 bad input, 3 numerical failure, 130 Ctrl-C."""
+    try:
+        app()
+    except SceneError as error:
+        for problem in error.problems:
+            err.print(f"error: {problem}", style="red", markup=False)
+        sys.exit(SceneError.exit_code)
+    except NumericalError as error:
+        err.print(f"numerical failure: {error}", style="red", markup=False)
+        sys.exit(NumericalError.exit_code)
+    except KeyboardInterrupt as stop:
+        err.print(str(stop) or "interrupted", markup=False)
+        sys.exit(INTERRUPTED)

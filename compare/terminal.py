@@ -1,0 +1,81 @@
+"""What a person at a terminal sees of a run: banner, progress, closing table. Plain lines when not a terminal."""
+
+import time
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+PLAIN_EVERY = 10.0  # seconds between progress lines when the output is not a terminal
+
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def banner(run) -> str:
+    """Points, nodes, dt, precision, device and memory of a run about to start."""
+    solver, scene = run.solver, run.body.scene
+    where = run.results.provenance["device_name"]
+    return (
+        f"{scene.name}: explicit, {solver.points:,} points ({solver.bytes_per_point} bytes each), "
+        f"{solver.grid.stored:,} nodes, dt = {solver.time_step:.3g} s, {scene.explicit.precision}, "
+        f"{solver.device.alias} ({where}), {solver.bytes / 1e6:.1f} MB of state, set up in {run.setup_s:.1f} s"
+    )
+
+
+class Monitor:
+    """Follows a run: `start` prints the banner, `row` moves the bar (or prints a line), `stop` clears it."""
+
+    def __init__(self):
+        self.progress = None
+        self.last_line = 0.0
+
+    def start(self, run):
+        out.print(banner(run))
+        if not out.is_terminal:
+            return
+        columns = (
+            TextColumn("t = {task.completed:.2f} of at most {task.total:.2f} s"),
+            BarColumn(),
+            TextColumn("{task.fields[front]}"),
+            TimeRemainingColumn(),
+        )
+        self.progress = Progress(*columns, console=out, transient=True)
+        self.task = self.progress.add_task("", total=run.end, completed=run.solver.time, front="")
+        self.progress.start()
+
+    def row(self, run, row):
+        front = f"run-out {row['R_995']:.3f} (99.5 % of mass), {row['R_max']:.3f} (farthest)"
+        if self.progress:
+            self.progress.update(self.task, completed=row["time"], front=front)
+        elif time.monotonic() - self.last_line > PLAIN_EVERY:
+            self.last_line = time.monotonic()
+            out.print(f"t = {row['time']:.3f} s of at most {run.end:.3g} s, step {row['step']}, {front}")
+
+    def stop(self, _run):
+        if self.progress:
+            self.progress.stop()
+
+
+def summary_table(summary: dict) -> Table:
+    """The figures of a finished run that a reader wants first."""
+    table = Table(show_header=False, box=None, padding=(0, 2))
+    words = {
+        "R_995": "run-out R_995, radius that holds 99.5 % of the mass",
+        "R_connected": "run-out R_connected, farthest point joined to the axis",
+        "R_max": "run-out R_max, farthest point of all",
+        "eq4": "quasistatic theory, Eq. 4",
+        "eq45": "dynamic theory, Eq. 5 in Eq. 4",
+        "h_inf": "final height h_inf [m]",
+        "sim_time": "simulated time [s]",
+        "stop_reason": "stopped by",
+        "grid_ke_ratio": "grid kinetic energy / its peak",
+        "wall_s": "time stepping [s]",
+        "point_steps_per_s": "point-steps per second",
+        "peak_memory_mb": "peak memory [MB]",
+    }
+    for key, text in words.items():
+        value = summary[key]
+        if value is not None:
+            table.add_row(text, f"{value:,.4g}" if isinstance(value, float) else str(value))
+    return table

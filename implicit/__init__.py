@@ -1,0 +1,1 @@
+"""Implicit quasistatic MPM on dolfinx and PETSc: assembly over points, Newton, relaxation in pseudo-time."""
