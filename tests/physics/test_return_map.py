@@ -1,0 +1,146 @@
+"""Drucker-Prager: cone constants against tabulated values, the return map against closed forms."""
+
+import math
+
+import numpy as np
+import pytest
+import warp as wp
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from mpm.devices import start_warp
+from mpm.drucker_prager import Constants, cone_slope, cone_strength, drucker_prager
+
+start_warp()
+LAW = drucker_prager(wp.float64)
+BULK, SHEAR, PHI = 4.8667e6, 2.2462e6, 37.55
+
+
+@wp.kernel(module="repose_float64")
+def returned(
+    mean: wp.array(dtype=wp.float64),
+    root: wp.array(dtype=wp.float64),
+    material: LAW.Material,
+    out: wp.array(dtype=wp.vec4d),
+):
+    p = wp.tid()
+    m, scale, d_eps, work = LAW.return_map(mean[p], root[p], material)
+    out[p] = wp.vec4d(m, scale, d_eps, work)
+
+
+def material(phi=PHI, psi=0.0, cohesion=0.0, cone="inner", bulk=BULK, shear=SHEAR):
+    slopes = cone_slope(phi, cone), cone_slope(psi, cone)
+    return Constants(bulk, shear, *slopes, cone_strength(cohesion, phi, cone), 2000.0, True)
+
+
+def return_map(mean, root, constants):
+    """(sigma_m, sqrt(J2), d_eps, work) after the return."""
+    mean, root = np.atleast_1d(np.asarray(mean, float)), np.atleast_1d(np.asarray(root, float))
+    out = wp.zeros(len(mean), dtype=wp.vec4d, device="cpu")
+    inputs = [wp.array(a, dtype=wp.float64, device="cpu") for a in (mean, root)]
+    wp.launch(returned, len(mean), inputs=[*inputs, LAW.pack(constants), out], device="cpu")
+    m, scale, d_eps, work = out.numpy().T
+    return m, scale * root, d_eps, work
+
+
+@pytest.mark.parametrize(("cone", "eta"), [("inner", 0.5849), ("outer", 0.8831), ("plane_strain", 0.5749)])
+def test_cone_slopes_for_the_papers_sand(cone, eta):
+    assert cone_slope(PHI, cone) == pytest.approx(eta, abs=1e-4)
+
+
+def test_cohesive_strength_of_each_cone():
+    """xi/eta = c cot(phi) for every cone: all share the Mohr-Coulomb apex."""
+    for cone in ("inner", "outer", "plane_strain"):
+        apex = cone_strength(1e4, 30.0, cone) / cone_slope(30.0, cone)
+        assert apex == pytest.approx(1e4 / math.tan(math.radians(30.0)), rel=1e-12)
+
+
+@pytest.mark.parametrize(("cone", "ratio"), [("inner", 2.5297), ("outer", 4.1210)])
+def test_triaxial_compression_ends_at_the_closed_form(cone, ratio):
+    """Axial strain in small steps at constant cell pressure ends at sigma_1/sigma_3 = (sqrt3+2eta)/(sqrt3-eta)."""
+    constants = material(cone=cone)
+    cell_pressure = -100e3
+    # Stress state (axial, lateral); each step prescribes the axial strain and finds the lateral one.
+    axial = lateral = cell_pressure
+    step = -1e-4
+    for _ in range(2000):
+
+        def lateral_stress(lateral_strain, axial=axial, lateral=lateral):
+            dilation = step + 2 * lateral_strain
+            mean = (axial + 2 * lateral) / 3 + BULK * dilation
+            deviator = 2 * (axial - lateral) / 3 + 2 * SHEAR * (step - dilation / 3)  # axial deviatoric stress
+            root = abs(deviator) * math.sqrt(0.75)
+            m, r, _, _ = return_map(mean, root, constants)
+            s = math.copysign(r[0] / math.sqrt(0.75), deviator)
+            return m[0] + s, m[0] - s / 2
+
+        low, high = -2 * abs(step), 2 * abs(step)  # lateral stress grows with lateral strain
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if lateral_stress(middle)[1] > cell_pressure:
+                high = middle
+            else:
+                low = middle
+        axial, lateral = lateral_stress(middle)
+        if abs(axial / lateral - ratio) < 1e-6:
+            break
+    eta = cone_slope(PHI, cone)
+    exact = (math.sqrt(3) + 2 * eta) / (math.sqrt(3) - eta)
+    assert exact == pytest.approx(ratio, abs=1e-4)
+    assert axial / lateral == pytest.approx(exact, rel=1e-6)
+    assert lateral == pytest.approx(cell_pressure, rel=1e-6)
+
+
+def test_isotropic_extension_ends_at_the_apex():
+    """At c = 0 any tension returns to zero stress exactly, with no deviator to divide by."""
+    constants = material()
+    mean, root, d_eps, work = return_map([1e3, 1.0, 1e-12], [0.0, 0.0, 0.0], constants)
+    assert np.all(mean == 0.0) and np.all(root == 0.0)
+    # eps_v = sigma_m/K is all plastic: sqrt(2/3 eps:eps) = sqrt(2)/3 eps_v
+    assert d_eps == pytest.approx(math.sqrt(2) / 3 * np.array([1e3, 1.0, 1e-12]) / BULK, rel=1e-9)
+    assert np.all(work == 0.0)
+
+
+def test_tension_with_shear_returns_to_zero_and_to_the_cohesive_apex():
+    mean, root, _, _ = return_map([5e3, 1e2, -5.0], [2e3, 1e1, 1e1], material())
+    assert np.all(mean[:2] == 0.0) and np.all(root[:2] == 0.0)
+    assert mean[2] == -5.0 and root[2] == pytest.approx(5.0 * cone_slope(PHI, "inner"))
+    cohesive = material(cohesion=1e3)
+    mean, root, _, _ = return_map([1e5], [1.0], cohesive)
+    assert mean[0] == pytest.approx(1e3 / math.tan(math.radians(PHI)), rel=1e-12)
+    assert root[0] == 0.0
+
+
+def test_shear_return_closed_form():
+    """psi = 0: pressure unchanged, sqrt(J2) = eta p, d_eps = (sqrt(J2)_trial - eta p)/(sqrt3 G)."""
+    constants = material()
+    mean, root, d_eps, work = return_map([-1e4], [2e4], constants)
+    assert mean[0] == -1e4
+    assert root[0] == pytest.approx(constants.eta * 1e4, rel=1e-14)
+    assert d_eps[0] == pytest.approx((2e4 - root[0]) / (math.sqrt(3) * SHEAR), rel=1e-12)
+    assert work[0] == pytest.approx(root[0] * (2e4 - root[0]) / SHEAR, rel=1e-12)  # sqrt(J2) times gamma_p
+
+
+@settings(max_examples=300, deadline=None)
+@given(
+    st.floats(-1e7, 1e7), st.floats(0.0, 1e7), st.floats(1.0, 60.0), st.floats(0.0, 1.0), st.floats(0.0, 1e5),
+    st.sampled_from(["inner", "outer", "plane_strain"]),
+)  # fmt: skip
+def test_any_trial_state_ends_inside_the_cone(mean, root, phi, psi_share, cohesion, cone):
+    """Inside to 1e-9 of the stress, plastic work not negative, and a second return changes nothing."""
+    constants = material(phi, psi_share * phi, cohesion, cone)
+    m, r, d_eps, work = (a[0] for a in return_map(mean, root, constants))
+    size = 1.0 + abs(mean) + root
+    assert r + constants.eta * m - constants.xi <= 1e-9 * size
+    assert r >= 0 and d_eps >= 0 and work >= -1e-9 * size**2 / BULK
+    again_m, again_r, _, _ = (a[0] for a in return_map(m, r, constants))
+    assert again_m == pytest.approx(m, abs=1e-9 * size)
+    assert again_r == pytest.approx(r, abs=1e-9 * size)
+
+
+def test_without_friction_the_cone_is_a_cylinder():
+    """phi = 0: strength c whatever the pressure (Tresca's radius in plane strain), no apex."""
+    constants = material(phi=0.0, cohesion=5e3, cone="plane_strain")
+    mean, root, _, _ = return_map([-1e6, 0.0, 1e6], [1e5, 1e5, 1e3], constants)
+    assert mean == pytest.approx([-1e6, 0.0, 1e6], abs=0)
+    assert root == pytest.approx([5e3, 5e3, 1e3], rel=1e-12)
