@@ -86,7 +86,7 @@ class ExplicitRun:
         self.e0 = self._kinetic_and_elastic(self.solver.energies())
         self._write_row()
         self._write_snapshot()
-        self._save()
+        self.save()
 
     def restore(self, state: dict):
         """Take over a checkpoint, and drop outputs written after it."""
@@ -109,7 +109,7 @@ class ExplicitRun:
                 self._loop(interrupt, monitor)
         except NumericalError as error:
             if self.solver.state_is_good:
-                self._save()
+                self.save()
             saved = self.results.read_checkpoint()["clock"][0]
             raise NumericalError(
                 f"{error}\nlast good state: t = {saved:.6g} s in {self.results.directory / 'checkpoint.h5'}"
@@ -125,23 +125,29 @@ class ExplicitRun:
 
     def _loop(self, interrupt, monitor):
         while self.stop_reason is None:
-            self.solver.aim(min(self.snapshots * self.every, self.end))
-            now = self.solver.advance(self.rows * self.history_every)
-            ended = now >= self.end
-            if now >= self.rows * self.history_every or ended:
-                row = self._write_row()
-                if monitor:
-                    monitor.row(self, row)
-                if self.rest_wanted and self._at_rest(row):
-                    self.stop_reason = "rest"
-                elif ended:
-                    self.stop_reason = "max_time" if self.rest_wanted else "end_time"
-            if now >= self.snapshots * self.every or self.stop_reason:
-                self._write_snapshot()
-                self._save()
+            row = self.advance()
+            if row and monitor:
+                monitor.row(self, row)
             if interrupt.asked and not self.stop_reason:
-                self._save()
-                raise Interrupted(f"stopped at t = {now:.6g} s; `repose resume {self.results.directory}` goes on")
+                self.save()
+                where = self.results.directory
+                raise Interrupted(f"stopped at t = {self.solver.time:.6g} s; `repose resume {where}` goes on")
+
+    def advance(self) -> dict[str, float] | None:
+        """A batch of steps and whatever output is due; the history row, if one was."""
+        self.solver.aim(min(self.snapshots * self.every, self.end))
+        now = self.solver.advance(self.rows * self.history_every)
+        row, ended = None, now >= self.end
+        if now >= self.rows * self.history_every or ended:
+            row = self._write_row()
+            if self.rest_wanted and self._at_rest(row):
+                self.stop_reason = "rest"
+            elif ended:
+                self.stop_reason = "max_time" if self.rest_wanted else "end_time"
+        if now >= self.snapshots * self.every or self.stop_reason:
+            self._write_snapshot()
+            self.save()
+        return row
 
     def _write_row(self) -> dict[str, float]:
         energies = self.solver.energies()
@@ -199,7 +205,7 @@ class ExplicitRun:
         self.results.write_snapshot(self.solver.time, self.solver.steps, fields)
         self.snapshots = int(self.solver.time / self.every + 1e-9) + 1
 
-    def _save(self):
+    def save(self):
         """History rows and a checkpoint; a restart regenerates what comes after."""
         if self.unsaved:
             self.results.append_history(self.unsaved)

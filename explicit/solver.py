@@ -258,7 +258,10 @@ class ExplicitSolver:
 
     def restore(self, state: dict[str, np.ndarray]):
         """Take over a state made by `state`, and store the nodes it needs."""
-        for name in (*POINT_STATE, "clock", "speed", "ledger"):
+        for name in (*POINT_STATE, "speed", "ledger"):
             if getattr(self, name).size:
                 getattr(self, name).assign(state[name])
         self.fit_grid()
+        # After the fit, which resets the distance travelled: the length of batches depends on it, and history
+        # rows are written between batches.
+        self.clock.assign(state["clock"])

@@ -1,0 +1,32 @@
+"""What the physics tests share: a solver built from a preset with overrides, and run to a time."""
+
+import pytest
+
+from explicit.solver import ExplicitSolver
+from mpm.config import load_scene
+from mpm.devices import start_warp
+from mpm.scene import build
+
+
+@pytest.fixture
+def solver_of():
+    """`solver_of(preset, *overrides)` -> ExplicitSolver on the CPU."""
+
+    def make(preset, *overrides):
+        start_warp()
+        return ExplicitSolver(build(load_scene(preset, list(overrides))))
+
+    return make
+
+
+@pytest.fixture
+def run_to():
+    """`run_to(solver, time, every)`: steps to exactly `time` [s]; yields after each batch of about `every` [s]."""
+
+    def march(solver, time, every=None):
+        solver.aim(time)
+        while solver.time < time:
+            solver.advance(solver.time + (every or time))
+            yield solver.time
+
+    return march
