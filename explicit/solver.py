@@ -21,6 +21,7 @@ from mpm.scene import Body
 STILL = 3e-4
 STEPS_PER_GRAPH = 10
 MOST_STEPS = 200
+LEDGER_COLUMNS_CUDA = 256
 POINT_STATE = ("x", "v", "sigma", "volume", "eps_p_eqv")
 
 
@@ -44,8 +45,10 @@ class ExplicitSolver:
         self.clock = self._zeros(K.CLOCK_SIZE, wp.float64)
         self.speed = self._zeros(K.SPEED_SIZE, self.real)
         self.fault = self._zeros(K.FAULT_SIZE, wp.int32)
-        self.ledger = self._zeros((K.LEDGER_ROWS, K.LEDGER_SLOTS), wp.float64)
-        self.energy = self._zeros((K.ENERGY_ROWS, K.LEDGER_SLOTS), wp.float64)
+        # One column on the CPU: its sum does not depend on how nodes are numbered, so restarts are exact.
+        columns = LEDGER_COLUMNS_CUDA if self.device.is_cuda else 1
+        self.ledger = self._zeros((K.LEDGER_ROWS, columns), wp.float64)
+        self.energy = self._zeros((K.ENERGY_ROWS, columns), wp.float64)
         self.nodes_stored_max = 0
         self.fit_grid()
         self.nodes_stored_start = self.grid.stored
@@ -257,10 +260,15 @@ class ExplicitSolver:
         return {name: getattr(self, name).numpy().copy() for name in names}
 
     def restore(self, state: dict[str, np.ndarray]):
-        """Take over a state made by `state`, and store the nodes it needs."""
-        for name in (*POINT_STATE, "speed", "ledger"):
+        """Take over a state made by `state`, on this or another kind of device, and store the nodes it needs."""
+        for name in (*POINT_STATE, "speed"):
             if getattr(self, name).size:
                 getattr(self, name).assign(state[name])
+        ledger = state["ledger"]
+        if ledger.shape != self.ledger.shape:
+            ledger = np.zeros(self.ledger.shape)
+            ledger[:, 0] = state["ledger"].sum(axis=1)
+        self.ledger.assign(ledger)
         self.fit_grid()
         # After the fit, which resets the distance travelled: the length of batches depends on it, and history
         # rows are written between batches.

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.layout import E_ELASTIC, KE_GRID, KE_POINTS, LEDGER_SLOTS, layout
+from explicit.kernels.layout import E_ELASTIC, KE_GRID, KE_POINTS, layout
 from mpm.drucker_prager import drucker_prager
 
 
@@ -21,7 +21,6 @@ def energy_kernels(real):
     float64 = wp.float64
     Material = drucker_prager(real).Material
     half, three = wp.constant(real(0.5)), wp.constant(real(3.0))
-    slots = wp.constant(LEDGER_SLOTS)
 
     @wp.kernel(module=name)
     def point_energy(
@@ -43,8 +42,8 @@ def energy_kernels(real):
             + s[5] * s[5]
         )
         elastic = half * (mean * mean / material.bulk + j2 / material.shear) * volume[p]
-        wp.atomic_add(energy, KE_POINTS, p % slots, float64(half * setup.mass * wp.dot(v[p], v[p])))
-        wp.atomic_add(energy, E_ELASTIC, p % slots, float64(elastic))
+        wp.atomic_add(energy, KE_POINTS, p % energy.shape[1], float64(half * setup.mass * wp.dot(v[p], v[p])))
+        wp.atomic_add(energy, E_ELASTIC, p % energy.shape[1], float64(elastic))
 
     @wp.kernel(module=name)
     def grid_energy(
@@ -55,7 +54,7 @@ def energy_kernels(real):
         """Kinetic energy of the grid with the velocities of the second mapping."""
         n = wp.tid()
         v = node_mapped[n]
-        wp.atomic_add(energy, KE_GRID, n % slots, float64(half * node_velocity[n][0] * wp.dot(v, v)))
+        wp.atomic_add(energy, KE_GRID, n % energy.shape[1], float64(half * node_velocity[n][0] * wp.dot(v, v)))
 
     return SimpleNamespace(
         point_energy=point_energy,

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.layout import DT, GRAVITY, LEDGER_SLOTS, WORK_DAMPING, WORK_EXTERNAL, layout
+from explicit.kernels.layout import DT, GRAVITY, WORK_DAMPING, WORK_EXTERNAL, layout
 from mpm.lattice import FIXED, FREE
 
 
@@ -21,7 +21,6 @@ def grid_kernels(real):
     Setup = types.Setup
     float64 = wp.float64
     zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
-    slots = wp.constant(LEDGER_SLOTS)
 
     @wp.func(module=name)
     def held(walls: Walls, axis: int, node: int):
@@ -104,9 +103,9 @@ def grid_kernels(real):
             node_momentum[n] = vec4(m, v_new[0], v_new[1], v_new[2])
             node_force[n] = vec4(dv[0], dv[1], dv[2], zero)
             lifted = -m * real(clock[GRAVITY]) * v_new[2] * dt
-            wp.atomic_add(ledger, WORK_EXTERNAL, n % slots, float64(lifted))
+            wp.atomic_add(ledger, WORK_EXTERNAL, n % ledger.shape[1], float64(lifted))
             if setup.damping > zero:
-                wp.atomic_add(ledger, WORK_DAMPING, n % slots, float64(wp.dot(damped, v_new) * dt))
+                wp.atomic_add(ledger, WORK_DAMPING, n % ledger.shape[1], float64(wp.dot(damped, v_new) * dt))
 
     @wp.kernel(module=name)
     def hold_walls(

@@ -21,10 +21,9 @@ SPEED_SIZE = 4
 # 1 where a fixed time step passes the Courant limit h/(c + |v|)
 NOT_FINITE, TOO_FAST, OVER_LIMIT = range(3)
 FAULT_SIZE = 3
-# ledger: time integrals [J], each spread over slots so that GPU atomics do not queue on one address
+# ledger: time integrals [J], a row each; on a GPU spread over columns, so that atomics do not queue on one address
 WORK_EXTERNAL, WORK_DAMPING, WORK_PLASTIC = range(3)
 LEDGER_ROWS = 3
-LEDGER_SLOTS = 256
 # energies of one instant [J], spread likewise
 KE_POINTS, KE_GRID, E_ELASTIC = range(3)
 ENERGY_ROWS = 3

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.layout import DT, LEDGER_SLOTS, WORK_PLASTIC, layout
+from explicit.kernels.layout import DT, WORK_PLASTIC, layout
 from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
 
@@ -26,7 +26,6 @@ def stress_kernels(real):
     base_node, weights, return_map = basis.base, basis.weights, law.return_map
     Material = law.Material
     zero, one, two, half, three = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 3.0))
-    slots = wp.constant(LEDGER_SLOTS)
 
     @wp.func(module=name)
     def rotate(sigma: vec6, spin: vec3):
@@ -116,7 +115,7 @@ def stress_kernels(real):
         sigma[p] = s
         if d_eps > zero:
             eps_p_eqv[p] = eps_p_eqv[p] + d_eps
-            wp.atomic_add(ledger, WORK_PLASTIC, p % slots, float64(work * volume[p]))
+            wp.atomic_add(ledger, WORK_PLASTIC, p % ledger.shape[1], float64(work * volume[p]))
         x[p] = xp + dt * carry[p]
 
     return SimpleNamespace(

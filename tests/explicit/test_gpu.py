@@ -1,0 +1,58 @@
+"""The CUDA path: same physics as the CPU, step graphs included. Skipped, with the reason, without a GPU."""
+
+import numpy as np
+import pytest
+import warp as wp
+
+from explicit.run import resume, run
+from explicit.solver import ExplicitSolver
+from mpm.config import load_scene
+from mpm.devices import start_warp
+from mpm.results import Results
+from mpm.scene import build
+
+start_warp()
+pytestmark = [
+    pytest.mark.gpu,
+    pytest.mark.skipif(wp.get_cuda_device_count() == 0, reason="no CUDA device on this machine"),
+]
+
+
+def collapsed(device, precision, time, *overrides):
+    scene = load_scene("column_1", ["grid.cell=0.125", f"explicit.precision={precision}", *overrides])
+    solver = ExplicitSolver(build(scene), device)
+    solver.aim(time)
+    while solver.time < time:
+        solver.advance(time)
+    return solver
+
+
+@pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 2e-4)])
+@pytest.mark.parametrize("averaging", ["false", "true"])
+def test_gpu_follows_the_cpu(precision, tolerance, averaging):
+    """Positions after 0.15 s: before yielding makes the motion chaotic, only the order of sums differs."""
+    setting = f"explicit.pressure_averaging={averaging}"
+    solvers = [collapsed(device, precision, 0.15, setting) for device in ("cpu", "cuda:0")]
+    assert solvers[0].steps == solvers[1].steps
+    assert np.abs(solvers[0].x.numpy() - solvers[1].x.numpy()).max() < tolerance
+    energies = [solver.energies() for solver in solvers]
+    for name, value in energies[0].items():
+        assert energies[1][name] == pytest.approx(value, rel=1e3 * tolerance, abs=1e-3), name
+
+
+def test_gpu_run_ends_like_the_cpu_run(tmp_path):
+    scene = load_scene("column_1", ["grid.cell=0.125", "explicit.damping=0.4", "explicit.until=1.5"])
+    summaries = [run(scene, tmp_path / device[:4], device) for device in ("cpu", "cuda:0")]
+    assert summaries[1]["R_995"] == pytest.approx(summaries[0]["R_995"], rel=0.01)
+    assert summaries[1]["mass_error"] < 1e-12
+
+
+def test_run_started_on_the_gpu_goes_on_on_the_cpu(tmp_path):
+    scene = load_scene("column_1", ["grid.cell=0.25", "explicit.until=0.3"])
+    run(scene, tmp_path, "cuda:0")
+    before = Results.open(tmp_path).read_checkpoint()
+    solver = ExplicitSolver(build(scene), "cpu")
+    solver.restore(before)
+    assert solver.time == pytest.approx(0.3)
+    assert solver.energies()["W_ext"] == pytest.approx(before["ledger"].sum(axis=1)[0])
+    assert resume(tmp_path, "cpu")["device"] == "cuda:0"
