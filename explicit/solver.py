@@ -128,7 +128,7 @@ class ExplicitSolver:
         self.nodes_stored_max = max(self.nodes_stored_max, self.grid.stored)
 
     def _record_step(self):
-        """The step as launches in order. On CUDA a batch of them becomes one graph."""
+        """The step as launches in order, ready to be repeated."""
         k, n, nodes, clock = self.k, self.points, self.grid.capacity, self.clock
         pencils = k.Pencils()
         pencils.base, pencils.i0, pencils.j0 = self.grid.base, self.grid.i0, self.grid.j0
@@ -191,17 +191,17 @@ class ExplicitSolver:
         return self.time
 
     def _take(self, steps: int):
-        if not self.device.is_cuda:
-            for _ in range(steps):
-                self.step()
-            return
-        if self._graph is None:
+        """Most steps as replays of a recorded batch (a CUDA graph on a GPU), the rest one by one."""
+        if steps >= STEPS_PER_GRAPH and self._graph is None:
             with wp.ScopedCapture(device=self.device) as capture:
                 for _ in range(STEPS_PER_GRAPH):
                     self.step()
             self._graph = capture.graph
-        for _ in range(math.ceil(steps / STEPS_PER_GRAPH)):
+        batches, rest = divmod(steps, STEPS_PER_GRAPH)
+        for _ in range(batches):
             wp.capture_launch(self._graph)
+        for _ in range(rest):
+            self.step()
 
     @property
     def state_is_good(self) -> bool:
