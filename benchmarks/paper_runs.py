@@ -19,7 +19,7 @@ from explicit.run import run
 from mpm.config import load_scene
 from mpm.provenance import provenance
 
-CASE = ("lambda0", "damping", "cone", "pressure_averaging", "cell", "precision")
+CASE = ("lambda0", "damping", "cone", "pressure_averaging", "apex_memory", "cell", "precision")
 FROM_SUMMARY = (
     "points", "R_max", "R_995", "R_connected", "h_inf", "eq4", "eq45", "stop_reason", "sim_time", "steps",
     "grid_ke_ratio", "mass_error", "energy_residual", "wall_s", "setup_s", "point_steps_per_s",
@@ -30,9 +30,8 @@ COLUMNS = (*CASE, *FROM_SUMMARY, *FROM_MACHINE, "command")
 
 
 def cases(options):
-    grid = itertools.product(
-        options.lambda0, options.damping, options.cone, options.averaging, options.cell, options.precision
-    )
+    material = (options.cone, options.averaging, options.memory)
+    grid = itertools.product(options.lambda0, options.damping, *material, options.cell, options.precision)
     return [dict(zip(CASE, (str(value) for value in values), strict=True)) for values in grid]
 
 
@@ -43,6 +42,7 @@ def compute(case, device) -> dict:
         f"explicit.damping={case['damping']}",
         f"material.cone={case['cone']}",
         f"explicit.pressure_averaging={case['pressure_averaging']}",
+        f"material.apex_memory={case['apex_memory']}",
         f"explicit.precision={case['precision']}",
         f"grid.cell={case['cell']}",
         "output.every=1000.0",
@@ -61,6 +61,7 @@ def main():
     parser.add_argument("--damping", nargs="+", default=["0.05", "0.4"])
     parser.add_argument("--cone", nargs="+", default=["plane_strain"])
     parser.add_argument("--averaging", nargs="+", default=["false"], choices=["false", "true"])
+    parser.add_argument("--memory", nargs="+", default=["true"], choices=["false", "true"], help="apex_memory")
     parser.add_argument("--cell", nargs="+", default=["0.05"], help="[m]")
     parser.add_argument("--precision", nargs="+", default=["float64"])
     parser.add_argument("--device", default="cpu")

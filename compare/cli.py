@@ -1,5 +1,6 @@
 """The command line: `repose run | resume | plot | validate | scenes | info | demo`."""
 
+import itertools
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -51,7 +52,7 @@ def run(
     from explicit.run import run as run_explicit
 
     directory = directory or Path("runs") / f"{validated.name}-{mode.value}"
-    _report(run_explicit(validated, directory, device, force, Monitor()), directory)
+    _follow(lambda: run_explicit(validated, directory, device, force, Monitor()), directory)
 
 
 @app.command()
@@ -62,12 +63,12 @@ def resume(
     """Go on with a run from its last checkpoint."""
     from explicit.run import resume as resume_explicit
 
-    _report(resume_explicit(directory, device, Monitor()), directory)
+    _follow(lambda: resume_explicit(directory, device, Monitor()), directory)
 
 
 @app.command()
 def plot(directory: DirArg):
-    """Draw morphology.png, profile.png and history.png in DIR."""
+    """Draw morphology.png, history.png and, for a column, profile.png in DIR."""
     for path in _draw(directory):
         out.print(str(path))
 
@@ -84,10 +85,13 @@ def validate(
 
     body = build(load_scene(scene, set_))
     resolved = body.scene
-    dt = resolved.explicit.cfl * resolved.grid.cell / body.constants.p_wave_speed
+    adaptive = resolved.explicit.cfl * resolved.grid.cell / body.constants.p_wave_speed
+    dt = resolved.explicit.time_step or adaptive
     out.print(f"{resolved.name}: valid. {len(body.x):,} points, cell {resolved.grid.cell:g} m")
     out.print(f"first time step {dt:.4g} s, time scale sqrt(h0/g) = {body.time_scale:.4g} s")
-    out.print(", ".join(f"{key} = {value:.4f}" for key, value in theory(resolved).items() if value is not None))
+    run_outs = [f"{key} = {value:.4f}" for key, value in theory(resolved).items() if value is not None]
+    if run_outs:
+        out.print("run-out in theory: " + ", ".join(run_outs))
     if table1:
         out.print(_table1(body))
 
@@ -99,24 +103,31 @@ def scenes():
 
     for name in preset_names():
         _, folder = read_scene_file(name)
-        first = (folder / f"{name}.toml").read_text(encoding="utf-8").splitlines()[0]
-        out.print(f"{name:14} {first.lstrip('# ')}")
+        lines = (folder / f"{name}.toml").read_text(encoding="utf-8").splitlines()
+        heading = itertools.takewhile(lambda line: line.startswith("#"), lines)
+        out.print(f"{name:14} {' '.join(line.lstrip('# ') for line in heading)}")
 
 
 @app.command()
 def info():
     """Versions, devices, what is missing and how to get it."""
+    from mpm.devices import start_warp
     from mpm.provenance import PROJECT, git_commit, installed, warp_devices
 
+    start_warp()  # quietly
     table = Table(box=None, padding=(0, 2))
-    for heading in ("package", "version", "needed for", "how to get it"):
+    for heading in ("package", "version", "needed for"):
         table.add_column(heading)
+    missing = {}
     for package in installed():
-        version = package.version or "missing"
-        table.add_row(package.name, version, package.needed_for, "" if package.version else package.how_to_get)
+        table.add_row(package.name, package.version or "missing", package.needed_for)
+        if not package.version:
+            missing.setdefault(package.how_to_get, []).append(package.name)
     out.print(table)
+    for how, names in missing.items():  # a line of its own: a table would break it, and it is there to be copied
+        out.print(f"to get {' and '.join(names)}: {how}")
     for device in warp_devices():
-        out.print(", ".join(f"{key} {value}" for key, value in device.items()))
+        out.print(f"device {device['alias']}: {device['name']}, {device['memory_mb']:,.0f} MB")
     out.print(f"commit {git_commit(PROJECT)}")
 
 
@@ -126,14 +137,21 @@ def demo(directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path
     from explicit.run import run as run_explicit
     from mpm.config import load_scene
 
-    _report(run_explicit(load_scene("column_small"), directory, force=True, monitor=Monitor()), directory)
+    _follow(lambda: run_explicit(load_scene("column_small"), directory, force=True, monitor=Monitor()), directory)
     for path in _draw(directory):
         out.print(str(path))
 
 
-def _report(summary: dict, directory: Path):
+def _follow(solve, directory: Path):
+    """Solve, and report the summary, or where Ctrl-C stopped it."""
+    try:
+        summary = solve()
+    except KeyboardInterrupt as stop:  # not left to `main`: typer turns it into a bare exit code
+        err.print(str(stop) or "interrupted")
+        raise typer.Exit(INTERRUPTED) from None
     out.print(summary_table(summary))
-    out.print(f"results in {directory} (`repose plot {directory}` draws them; ParaView opens vtk/run.pvd)")
+    vtk = "; ParaView opens vtk/run.pvd" if (directory / "vtk" / "run.pvd").is_file() else ""
+    out.print(f"results in {directory} (`repose plot {directory}` draws them{vtk})")
 
 
 def _draw(directory: Path) -> list[Path]:
@@ -142,6 +160,8 @@ def _draw(directory: Path) -> list[Path]:
 
     results = Results.open(directory)
     drawings = {"morphology.png": plot_morphology, "profile.png": plot_profile, "history.png": plot_history}
+    if results.scene["geometry"]["shape"] != "column":
+        del drawings["profile.png"]  # over the radius, which only a column has
     return [draw(results, directory / name) for name, draw in drawings.items()]
 
 
@@ -149,6 +169,7 @@ def _table1(body) -> Table:
     """The paper's counts beside the nodes that are really stored."""
     from explicit.solver import ExplicitSolver
     from mpm.config import Column
+    from mpm.devices import find_device
     from mpm.lattice import paper_grid
     from mpm.results import Results
 
@@ -162,22 +183,22 @@ def _table1(body) -> Table:
     at_most, folder = "run it first", Path("runs") / f"{scene.name}-explicit"
     if (folder / "summary.json").is_file():
         at_most = f"{Results.open(folder).summary()['nodes_stored_max']:,} ({folder})"
-    start = ExplicitSolver(body).nodes_stored_start
+    start = ExplicitSolver(body, find_device("cpu")).nodes_stored_start
     table.add_row(f"{scene.geometry.aspect_ratio:g}", str(n_el), str(n_no), str(len(body.x)), f"{start:,}", at_most)
     return table
 
 
 def main():
-    """Entry point. Exit codes: 0 done, 2 bad input, 3 numerical failure, 130 Ctrl-C."""
+    """Entry point. Exit codes: 0 done, 1 disk or memory failed, 2 bad input, 3 numerical failure, 130 Ctrl-C."""
     try:
         app()
     except SceneError as error:
         for problem in error.problems:
-            err.print(f"error: {problem}", style="red", markup=False)
+            err.print(f"error: {problem}", style="red")
         sys.exit(SceneError.exit_code)
     except NumericalError as error:
-        err.print(f"numerical failure: {error}", style="red", markup=False)
+        err.print(f"numerical failure: {error}", style="red")
         sys.exit(NumericalError.exit_code)
-    except KeyboardInterrupt as stop:
-        err.print(str(stop) or "interrupted", markup=False)
-        sys.exit(INTERRUPTED)
+    except (OSError, MemoryError) as error:
+        err.print(f"error: {str(error) or 'out of memory'}", style="red")
+        sys.exit(1)

@@ -8,8 +8,10 @@ from rich.table import Table
 
 PLAIN_EVERY = 10.0  # seconds between progress lines when the output is not a terminal
 
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+# No markup: "[s]" is a unit here, and a path may hold brackets; no emoji: nor is ":s:" one.
+PLAIN = {"highlight": False, "soft_wrap": True, "markup": False, "emoji": False}
+out = Console(**PLAIN)
+err = Console(stderr=True, **PLAIN)
 
 
 def banner(run) -> str:
@@ -35,7 +37,7 @@ class Monitor:
         if not out.is_terminal:
             return
         columns = (
-            TextColumn("t = {task.completed:.2f} of at most {task.total:.2f} s"),
+            TextColumn("t = {task.completed:.2f} of at most {task.total:.3g} s"),
             BarColumn(),
             TextColumn("{task.fields[front]}"),
             TimeRemainingColumn(),
@@ -46,8 +48,8 @@ class Monitor:
 
     def row(self, run, row):
         front = f"run-out {row['R_995']:.3f} (99.5 % of mass), {row['R_max']:.3f} (farthest)"
-        if self.progress:
-            self.progress.update(self.task, completed=row["time"], front=front)
+        if self.progress:  # in short, so that the bar has room on 80 columns
+            self.progress.update(self.task, completed=row["time"], front=f"run-out {row['R_995']:.3f}")
         elif time.monotonic() - self.last_line > PLAIN_EVERY:
             self.last_line = time.monotonic()
             out.print(f"t = {row['time']:.3f} s of at most {run.end:.3g} s, step {row['step']}, {front}")

@@ -19,7 +19,7 @@ from mpm.vtk import write_vtk
 
 REST_KE = 1e-4  # grid kinetic energy over its peak, below which the body may be at rest
 REST_DRIFT = 1e-3  # relative advance of the front (R_995) over sqrt(h0/g), likewise
-MAX_TIME = 30.0  # default end, in units of sqrt(h0/g), of a run that never comes to rest
+MAX_TIME = 60.0  # default end, in units of sqrt(h0/g), of a run that never comes to rest
 HISTORY_ROWS = 20  # default history rows per sqrt(h0/g)
 ENERGY_GROWTH = 1.5  # kinetic energy over all energy ever supplied, above which the step is unstable
 

@@ -22,14 +22,15 @@ STILL = 3e-4
 STEPS_PER_GRAPH = 10
 MOST_STEPS = 200
 LEDGER_COLUMNS_CUDA = 256
-POINT_STATE = ("x", "v", "sigma", "volume", "eps_p_eqv")
+POINT_STATE = ("x", "v", "sigma", "volume", "eps_p_eqv", "opening")
 
 
 class ExplicitSolver:
     """Points and grid of one body on one device.
 
     Point arrays, all (n,): `x`, `v`, `carry` vec3 [m, m/s], `sigma` vec6 [Pa] in order xx, yy, zz, yz, xz, xy,
-    `volume` [m3], `eps_p_eqv` [-] (empty for elastic scenes).
+    `volume` [m3], `eps_p_eqv` [-], `opening` [-] (volume strain opened at the apex). The last two are empty where
+    the material has no use for them.
     """
 
     def __init__(self, body: Body, device="cpu"):
@@ -76,7 +77,9 @@ class ExplicitSolver:
         self.carry = self._zeros(n, k.vec3)
         self.sigma = self._zeros(n, k.vec6)
         self.volume = wp.full(n, self.real(body.point_volume), dtype=self.real, device=self.device)
-        self.eps_p_eqv = self._zeros(n if body.constants.plastic else 0, self.real)
+        constants = body.constants
+        self.eps_p_eqv = self._zeros(n if constants.plastic else 0, self.real)
+        self.opening = self._zeros(n if constants.plastic and constants.apex_memory else 0, self.real)
 
     def _allocate_nodes(self):
         nodes, k = self.grid.capacity, self.k
@@ -109,7 +112,7 @@ class ExplicitSolver:
     @property
     def bytes_per_point(self) -> int:
         """Memory of one point's state [bytes]."""
-        arrays = (self.x, self.v, self.carry, self.sigma, self.volume, self.eps_p_eqv)
+        arrays = (self.x, self.v, self.carry, self.sigma, self.volume, self.eps_p_eqv, self.opening)
         return sum(wp.types.type_size_in_bytes(array.dtype) for array in arrays if array.size)
 
     @property
@@ -136,7 +139,7 @@ class ExplicitSolver:
         x, v, carry, sigma, volume = self.x, self.v, self.carry, self.sigma, self.volume
         momentum, force, mapped = self.node_momentum, self.node_force, self.node_mapped
         faults = (self.speed, self.fault)
-        plastic = (self.eps_p_eqv, self.ledger)
+        plastic = (self.eps_p_eqv, self.opening, self.ledger)
         where = (setup, pencils, clock)
 
         phases = [(k.begin_step, 1, (setup, clock, *faults))]

@@ -4,10 +4,12 @@
 """
 
 import difflib
+import math
+import os
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -17,6 +19,8 @@ from mpm.errors import SceneError
 Wall = Literal["free", "roller", "fixed"]
 Symmetry = Literal["quarter", "half", "full"]
 FIELDS = ("displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume")
+MOST_POINTS = 1e9  # beyond this a length was meant in another unit; it would exhaust memory
+LONGEST_VALUE = 60  # characters of a rejected value that a message repeats
 
 
 def quantity(unit: str, description: str, default: Any = ..., **bounds):
@@ -25,7 +29,8 @@ def quantity(unit: str, description: str, default: Any = ..., **bounds):
 
 
 class Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # Strict: without it `density = true` is 1 kg/m3 and `vtk = "off"` is false. An integer is a number all the same.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
 
 
 class Column(Section):
@@ -58,7 +63,9 @@ class Box(Section):
 
     shape: Literal["box"] = Field(description="geometry: column, box or mesh")
     size: tuple[Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)], Annotated[float, Field(gt=0)]] = quantity(
-        "m", "edge lengths along x, y, z"
+        "m",
+        "edge lengths along x, y, z",
+        strict=False,  # TOML has lists, no tuples
     )
     walls: Walls = Field(Walls(), description="condition on each face")
 
@@ -89,6 +96,9 @@ class Material(Section):
     cohesion: float = quantity("Pa", "cohesion c", 0.0, ge=0)
     dilatancy_angle: float = quantity("degrees", "angle of dilatancy psi", 0.0, ge=0, le=80)
     cone: Literal[CONES] = Field("plane_strain", description="how the cone is matched to Mohr-Coulomb")
+    apex_memory: bool = Field(
+        True, description="what opens in tension must close before pressure returns; false as in the paper's solver"
+    )
 
     def constants(self) -> Constants:
         """Moduli and cone constants (see `mpm.drucker_prager`)."""
@@ -100,6 +110,7 @@ class Material(Section):
             xi=cone_strength(self.cohesion, self.friction_angle, self.cone),
             density=self.density,
             plastic=self.model == "drucker_prager",
+            apex_memory=self.apex_memory,
         )
 
 
@@ -113,7 +124,7 @@ class Explicit(Section):
     cfl: float = quantity("-", "Courant number of the adaptive time step", 0.5, gt=0, le=1)
     time_step: float | None = quantity("s", "fixed time step in place of the adaptive one", None, gt=0)
     until: Literal["rest"] | Annotated[float, Field(gt=0)] = quantity("s", "end time, or 'rest'", "rest")
-    max_time: float | None = quantity("s", "end time if rest never comes; default 20 sqrt(height/gravity)", None, gt=0)
+    max_time: float | None = quantity("s", "end time if rest never comes; default 60 sqrt(height/gravity)", None, gt=0)
     precision: Literal["float32", "float64"] = Field("float64", description="floating-point type of the state")
     pressure_averaging: bool = Field(False, description="replace each point's pressure by its cell's volume average")
 
@@ -124,7 +135,7 @@ class Output(Section):
         "s", "simulated time between history rows; default sqrt(height/gravity)/20", None, gt=0
     )
     fields: tuple[Literal[FIELDS], ...] = Field(
-        ("displacement", "velocity", "stress", "eps_p_eqv"), description="point fields of the snapshots"
+        ("displacement", "velocity", "stress", "eps_p_eqv"), description="point fields of the snapshots", strict=False
     )
     vtk: bool = Field(True, description="also write ParaView files (vtk/run.pvd)")
 
@@ -153,15 +164,16 @@ def read_scene_file(reference: str) -> tuple[dict, Path]:
     Raises SceneError when there is no such file or preset, or the text is not TOML.
     """
     path = Path(reference)
-    if not path.is_file():
+    if not os.path.isfile(path):  # Path.is_file raises on a name that is too long
         if reference not in preset_names():
             near = difflib.get_close_matches(reference, preset_names(), n=1)
             hint = f"; did you mean '{near[0]}'?" if near else ""
             raise SceneError(f"scene '{reference}': no such file or preset{hint} (`repose scenes` lists them)")
         path = Path(str(resources.files("mpm") / "presets" / f"{reference}.toml"))
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8")), path.resolve().parent
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        # -sig: some Windows editors put a byte-order mark first
+        return tomllib.loads(path.read_text(encoding="utf-8-sig")), path.resolve().parent
+    except (ValueError, RecursionError, OSError) as error:  # ValueError: not TOML, not UTF-8, a number too long
         raise SceneError(f"scene '{reference}': not a readable TOML file: {error}") from None
 
 
@@ -176,7 +188,10 @@ def load_scene(reference: str, overrides: list[str] = ()) -> Scene:
         raise SceneError(problems)
     geometry = table.get("geometry")
     if isinstance(geometry, dict) and isinstance(geometry.get("file"), str):
-        geometry["file"] = str((folder / geometry["file"]).resolve())
+        try:
+            geometry["file"] = str((folder / geometry["file"]).resolve())
+        except (ValueError, OSError, RuntimeError) as error:  # a zero byte, a loop of links
+            raise SceneError(f"geometry.file = {_shown(geometry['file'])}: not a file name: {error}") from None
     return parse_scene(table)
 
 
@@ -185,7 +200,11 @@ def parse_scene(table: dict) -> Scene:
     try:
         scene = Scene.model_validate(table)
     except ValidationError as error:
-        raise SceneError([_explain(item) for item in error.errors()]) from None
+        problems = [_explain(item) for item in error.errors() if not _says_less(item)]
+        raise SceneError(problems) from None
+    if scene.material.model == "elastic" and "fields" not in scene.output.model_fields_set:
+        fields = tuple(name for name in scene.output.fields if name != "eps_p_eqv")
+        scene = scene.model_copy(update={"output": scene.output.model_copy(update={"fields": fields})})
     problems = _cross_checks(scene)
     if problems:
         raise SceneError(problems)
@@ -199,7 +218,7 @@ def _override(table: dict, item: str) -> str | None:
         return f"--set {item}: expected key=value, for example explicit.damping=0.4"
     try:
         value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
+    except (ValueError, RecursionError):
         value = text  # a bare word is a string: --set material.cone=inner
     *path, last = key.strip().split(".")
     for name in path:
@@ -225,22 +244,49 @@ def _resolve(location: tuple) -> tuple[str, type[Section], Any]:
                 model, field = inner, None if part != location[-1] else field
         elif isinstance(part, int):
             keys.append(str(part))
-    return ".".join(keys), model, field
+    return ".".join(key if key.isprintable() else repr(key) for key in keys), model, field
+
+
+def _says_less(error: dict) -> bool:
+    """Whether this is the 'rest' half of "'rest' or a number": the other half's message names both."""
+    return str(error["loc"][-1]).startswith("literal[")
+
+
+def _shown(value) -> str:
+    """A rejected value as a message repeats it: short, whatever was in the file."""
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        return "(a very long number)"
+    return text if len(text) <= LONGEST_VALUE else text[:LONGEST_VALUE] + "..."
 
 
 def _accepted(field, error: dict) -> str:
     """Accepted type, range or values and unit of a field, in words."""
+    kind, unit = error["type"], (getattr(field, "json_schema_extra", None) or {}).get("unit")
+    if kind == "string_pattern_mismatch":
+        words = "must consist of letters, digits, '.', '_' and '-'"
+    elif kind.startswith(("float", "finite", "greater", "less")):
+        alternatives, bounds = _choices(field)
+        number = "a number " if alternatives or kind.startswith("f") else ""
+        words = "must be " + " or ".join([*alternatives, number + " and ".join(bounds)])
+    else:
+        words = error["msg"].replace("Input should be", "must be").replace("Tuple", "the list").replace("tuple", "list")
+        words = words[0].lower() + words[1:]
+    return words + (f" [{unit}]" if unit else "")
+
+
+def _choices(field) -> tuple[list[str], list[str]]:
+    """What a number's field takes: words in place of a number ('rest'), and the bounds of the number."""
+    arms = get_args(field.annotation)  # the arms of a union, the elements of a tuple
+    words = [repr(word) for arm in arms if get_origin(arm) is Literal for word in get_args(arm)]
+    marks = list(field.metadata)
+    marks += [mark for arm in arms for inner in getattr(arm, "__metadata__", ()) for mark in inner.metadata]
     symbols = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
     bounds = [
-        f"{symbol} {getattr(mark, name):g}"
-        for mark in getattr(field, "metadata", ())
-        for name, symbol in symbols.items()
-        if hasattr(mark, name)
-    ] or [f"{symbols[name]} {value:g}" for name, value in error.get("ctx", {}).items() if name in symbols]
-    kind = "a number " if error["type"].startswith(("float", "int", "finite")) else ""
-    words = f"must be {kind}{' and '.join(bounds)}" if bounds else error["msg"][0].lower() + error["msg"][1:]
-    unit = (getattr(field, "json_schema_extra", None) or {}).get("unit")
-    return words + (f" [{unit}]" if unit else "")
+        f"{symbol} {getattr(mark, name):g}" for mark in marks for name, symbol in symbols.items() if hasattr(mark, name)
+    ]
+    return words, list(dict.fromkeys(bounds))
 
 
 def _explain(error: dict) -> str:
@@ -248,21 +294,30 @@ def _explain(error: dict) -> str:
     location = error["loc"]
     key, model, field = _resolve(location)
     if error["type"] == "extra_forbidden":
-        known = list(model.model_fields)
-        near = difflib.get_close_matches(str(location[-1]), known, n=1, cutoff=0.5)
+        known, last = list(model.model_fields), str(location[-1])
+        near = difflib.get_close_matches(last, known, n=1, cutoff=0.5)
         hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
+        sections = [
+            name for name, its in Scene.model_fields.items() if last in getattr(its.annotation, "model_fields", ())
+        ]
+        if sections:
+            hint = f"it belongs in [{sections[0]}]"
         return f"{key}: unknown key; {hint}"
     if error["type"] == "missing":
         about = f" ({field.description})" if field is not None and field.description else ""
         return f"{key}: missing, and it has no default{about}"
     if error["type"].startswith("union_tag"):
         return f"{key}.shape: must be 'column', 'box' or 'mesh'"
-    return f"{key} = {error['input']!r}: {_accepted(field, error)}"
+    accepted = f"must be a section, [{key}]" if error["type"].startswith("model") else _accepted(field, error)
+    return f"{key} = {_shown(error['input'])}: {accepted}"
 
 
 def _cross_checks(scene: Scene) -> list[str]:
     """Problems that only show when several keys are read together."""
-    cell, shape = scene.grid.cell, scene.geometry
+    cell, shape, material = scene.grid.cell, scene.geometry, scene.material
+    points = _point_count(shape, cell)
+    if not points <= MOST_POINTS:  # also true of NaN, from 0 * inf
+        return [f"grid.cell = {cell:g}: about {points:.0e} points, must be at most {MOST_POINTS:.0e}; is it in [m]?"]
     problems = []
     if isinstance(shape, Column):
         smallest, name = min((shape.radius, "radius"), (shape.height, "height radius*aspect_ratio"))
@@ -281,10 +336,14 @@ def _cross_checks(scene: Scene) -> list[str]:
                 problems.append(
                     f"geometry.size.{axis} = {length:g}: a wall at {axis}_max needs whole cells, {cell:g} [m]"
                 )
-    if scene.material.dilatancy_angle > scene.material.friction_angle:
+    if material.dilatancy_angle > material.friction_angle:
         problems.append(
-            f"material.dilatancy_angle = {scene.material.dilatancy_angle:g}: must be <= friction_angle = "
-            f"{scene.material.friction_angle:g} [degrees]"
+            f"material.dilatancy_angle = {material.dilatancy_angle:g}: must be <= friction_angle = "
+            f"{material.friction_angle:g} [degrees]"
+        )
+    if material.model == "drucker_prager" and material.friction_angle == material.cohesion == 0:
+        problems.append(
+            "material: a Drucker-Prager material needs strength, friction_angle > 0 [degrees] or cohesion > 0 [Pa]"
         )
     if scene.grid.extent == "paper" and not (isinstance(shape, Column) and shape.symmetry == "quarter"):
         problems.append("grid.extent = 'paper': only for a quarter column (Table 1)")
@@ -294,7 +353,16 @@ def _cross_checks(scene: Scene) -> list[str]:
         problems += [
             f"{key}: without gravity it has no time scale, give it in [s]" for key, yes in needs.items() if yes
         ]
-    asked = "fields" in scene.output.model_fields_set and "eps_p_eqv" in scene.output.fields
-    if asked and scene.material.model == "elastic":
+    if material.model == "elastic" and "eps_p_eqv" in scene.output.fields:
         problems.append("output.fields: 'eps_p_eqv' does not exist when material.model = 'elastic'")
     return problems
+
+
+def _point_count(shape, cell: float) -> float:
+    """Roughly how many points fill a column or box; 0 for a mesh, which is checked once it is read."""
+    if isinstance(shape, Mesh):
+        return 0.0
+    if isinstance(shape, Box):
+        return math.prod(2.0 * length / cell for length in shape.size)
+    circle = math.pi * {"quarter": 0.25, "half": 0.5, "full": 1.0}[shape.symmetry]
+    return circle * (2.0 * shape.radius / cell) * (2.0 * shape.radius / cell) * (2.0 * shape.height / cell)

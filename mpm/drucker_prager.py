@@ -21,7 +21,8 @@ NEVER_YIELDS = 1e30
 class Constants:
     """Material constants of one scene: moduli and strengths in Pa, the rest dimensionless.
 
-    `eta`, `eta_bar` are the friction and dilatancy slopes of the cone, `xi` its cohesive strength [Pa].
+    `eta`, `eta_bar` are the friction and dilatancy slopes of the cone, `xi` its cohesive strength [Pa];
+    `apex_memory`: what opens at the apex must close before pressure returns.
     """
 
     bulk: float
@@ -31,6 +32,7 @@ class Constants:
     xi: float
     density: float
     plastic: bool
+    apex_memory: bool
 
     @property
     def p_wave_modulus(self) -> float:
@@ -67,10 +69,15 @@ def cone_strength(cohesion: float, angle_deg: float, cone: str) -> float:
 def drucker_prager(real):
     """Return `Material` (a Warp struct) and `return_map` (a Warp function) for `real`.
 
-    `return_map(sigma_m, root_j2, material)` takes the trial invariants [Pa] and gives
-    (sigma_m, scale, d_eps, work): the returned mean stress [Pa], the factor on the deviator, the increment of
-    equivalent plastic strain sqrt(2/3 eps_p:eps_p) [-] and the plastic work per volume [J/m3], all at the end
-    of the step. Shear return where it lands on the cone, otherwise the apex: sigma = (xi/eta) I, zero at c = 0.
+    `return_map(sigma_m, root_j2, opening, material)` takes the trial invariants [Pa] and the volume strain [-] by
+    which the material has opened at the apex, and gives (sigma_m, scale, opening, d_eps, work): the returned mean
+    stress [Pa], the factor on the deviator, the opening that remains, the increment of equivalent plastic strain
+    sqrt(2/3 eps_p:eps_p) [-] and the plastic work per volume [J/m3].
+
+    Shear return where it lands on the cone, otherwise the apex: sigma = (xi/eta) I, zero at c = 0. What opens at
+    the apex must close before pressure builds up again. Without that memory each opening and closing leaves the
+    material larger: a psi = 0 column (lambda0 = 1, 10 cells per r0) gained 13 % of volume at D = 0.4, 29 % at
+    D = 0.05, and crept without end.
     """
     name = f"repose_{real.__name__}"
     zero, one, three, nine = (wp.constant(real(value)) for value in (0.0, 1.0, 3.0, 9.0))
@@ -84,30 +91,34 @@ def drucker_prager(real):
         eta_bar: real
         xi: real
         plastic: int
+        apex_memory: int
 
     @wp.func(module=name)
-    def return_map(sigma_m: real, root_j2: real, material: Material):
-        f = root_j2 + material.eta * sigma_m - material.xi
-        mean = sigma_m
+    def return_map(sigma_m: real, root_j2: real, opening: real, material: Material):
+        trial = sigma_m + material.bulk * opening
+        f = root_j2 + material.eta * trial - material.xi
+        mean = trial
         scale = one
+        opened = zero
         d_eps = zero
         work = zero
         if f > zero:
             d_lambda = f / (material.shear + material.bulk * material.eta * material.eta_bar)
             root = root_j2 - material.shear * d_lambda
             if root >= zero:
-                mean = sigma_m - material.bulk * material.eta_bar * d_lambda
+                mean = trial - material.bulk * material.eta_bar * d_lambda
                 scale = root / root_j2
                 d_eps = d_lambda * wp.sqrt(one / three + two * material.eta_bar * material.eta_bar / nine)
+                volume_strain = material.eta_bar * d_lambda
             else:
                 mean = material.xi / material.eta
                 scale = zero
+                opened = (trial - mean) / material.bulk
                 shear_strain = root_j2 / material.shear
-                volume_strain = (sigma_m - mean) / material.bulk
+                volume_strain = opened - opening
                 d_eps = wp.sqrt(shear_strain * shear_strain / three + two * volume_strain * volume_strain / nine)
-            volume_work = mean * (sigma_m - mean) / material.bulk
-            work = volume_work + scale * (one - scale) * root_j2 * root_j2 / material.shear
-        return mean, scale, d_eps, work
+            work = mean * volume_strain + scale * (one - scale) * root_j2 * root_j2 / material.shear
+        return mean, scale, opened, d_eps, work
 
     def pack(constants: Constants) -> Material:
         """Material struct for kernels from host constants."""
@@ -118,6 +129,7 @@ def drucker_prager(real):
         material.eta_bar = constants.eta_bar
         material.xi = constants.xi if constants.plastic else NEVER_YIELDS
         material.plastic = int(constants.plastic)
+        material.apex_memory = int(constants.plastic and constants.apex_memory)
         return material
 
     return SimpleNamespace(Material=Material, return_map=return_map, pack=pack)

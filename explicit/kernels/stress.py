@@ -51,6 +51,7 @@ def stress_kernels(real):
         sigma: wp.array(dtype=vec6),
         volume: wp.array(dtype=real),
         eps_p_eqv: wp.array(dtype=real),
+        opening: wp.array(dtype=real),
         ledger: wp.array2d(dtype=float64),
     ):
         """Strain increment from the mapped velocity, objective trial stress, return map; then the point moves."""
@@ -107,12 +108,17 @@ def stress_kernels(real):
             + deviator[4] * deviator[4]
             + deviator[5] * deviator[5]
         )
-        mean_new, scale, d_eps, work = return_map(mean_trial, wp.sqrt(j2), material)
+        open_old = zero
+        if material.apex_memory > 0:
+            open_old = opening[p]
+        mean_new, scale, open_new, d_eps, work = return_map(mean_trial, wp.sqrt(j2), open_old, material)
         s = scale * deviator
         s[0] = s[0] + mean_new
         s[1] = s[1] + mean_new
         s[2] = s[2] + mean_new
         sigma[p] = s
+        if material.apex_memory > 0:
+            opening[p] = open_new
         if d_eps > zero:
             eps_p_eqv[p] = eps_p_eqv[p] + d_eps
             wp.atomic_add(ledger, WORK_PLASTIC, p % ledger.shape[1], float64(work * volume[p]))

@@ -13,6 +13,7 @@ from mpm.drucker_prager import Constants, cone_slope, cone_strength, drucker_pra
 
 start_warp()
 LAW = drucker_prager(wp.float64)
+VEC5 = wp.types.vector(5, wp.float64)
 BULK, SHEAR, PHI = 4.8667e6, 2.2462e6, 37.55
 
 
@@ -20,27 +21,28 @@ BULK, SHEAR, PHI = 4.8667e6, 2.2462e6, 37.55
 def returned(
     mean: wp.array(dtype=wp.float64),
     root: wp.array(dtype=wp.float64),
+    opening: wp.array(dtype=wp.float64),
     material: LAW.Material,
-    out: wp.array(dtype=wp.vec4d),
+    out: wp.array(dtype=VEC5),
 ):
     p = wp.tid()
-    m, scale, d_eps, work = LAW.return_map(mean[p], root[p], material)
-    out[p] = wp.vec4d(m, scale, d_eps, work)
+    m, scale, opened, d_eps, work = LAW.return_map(mean[p], root[p], opening[p], material)
+    out[p] = VEC5(m, scale, d_eps, work, opened)
 
 
 def material(phi=PHI, psi=0.0, cohesion=0.0, cone="inner", bulk=BULK, shear=SHEAR):
     slopes = cone_slope(phi, cone), cone_slope(psi, cone)
-    return Constants(bulk, shear, *slopes, cone_strength(cohesion, phi, cone), 2000.0, True)
+    return Constants(bulk, shear, *slopes, cone_strength(cohesion, phi, cone), 2000.0, True, True)
 
 
-def return_map(mean, root, constants):
-    """(sigma_m, sqrt(J2), d_eps, work) after the return."""
-    mean, root = np.atleast_1d(np.asarray(mean, float)), np.atleast_1d(np.asarray(root, float))
-    out = wp.zeros(len(mean), dtype=wp.vec4d, device="cpu")
-    inputs = [wp.array(a, dtype=wp.float64, device="cpu") for a in (mean, root)]
+def return_map(mean, root, constants, opening=0.0):
+    """(sigma_m, sqrt(J2), d_eps, work, opening) after the return."""
+    mean, root, opening = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (mean, root, opening)))
+    out = wp.zeros(len(mean), dtype=VEC5, device="cpu")
+    inputs = [wp.array(a, dtype=wp.float64, device="cpu") for a in (mean, root, opening)]
     wp.launch(returned, len(mean), inputs=[*inputs, LAW.pack(constants), out], device="cpu")
-    m, scale, d_eps, work = out.numpy().T
-    return m, scale * root, d_eps, work
+    m, scale, d_eps, work, opened = out.numpy().T
+    return m, scale * root, d_eps, work, opened
 
 
 @pytest.mark.parametrize(("cone", "eta"), [("inner", 0.5849), ("outer", 0.8831), ("plane_strain", 0.5749)])
@@ -70,7 +72,7 @@ def test_triaxial_compression_ends_at_the_closed_form(cone, ratio):
             mean = (axial + 2 * lateral) / 3 + BULK * dilation
             deviator = 2 * (axial - lateral) / 3 + 2 * SHEAR * (step - dilation / 3)  # axial deviatoric stress
             root = abs(deviator) * math.sqrt(0.75)
-            m, r, _, _ = return_map(mean, root, constants)
+            m, r, *_ = return_map(mean, root, constants)
             s = math.copysign(r[0] / math.sqrt(0.75), deviator)
             return m[0] + s, m[0] - s / 2
 
@@ -94,19 +96,20 @@ def test_triaxial_compression_ends_at_the_closed_form(cone, ratio):
 def test_isotropic_extension_ends_at_the_apex():
     """At c = 0 any tension returns to zero stress exactly, with no deviator to divide by."""
     constants = material()
-    mean, root, d_eps, work = return_map([1e3, 1.0, 1e-12], [0.0, 0.0, 0.0], constants)
+    mean, root, d_eps, work, opened = return_map([1e3, 1.0, 1e-12], [0.0, 0.0, 0.0], constants)
     assert np.all(mean == 0.0) and np.all(root == 0.0)
     # eps_v = sigma_m/K is all plastic: sqrt(2/3 eps:eps) = sqrt(2)/3 eps_v
     assert d_eps == pytest.approx(math.sqrt(2) / 3 * np.array([1e3, 1.0, 1e-12]) / BULK, rel=1e-9)
     assert np.all(work == 0.0)
+    assert opened == pytest.approx(np.array([1e3, 1.0, 1e-12]) / BULK, rel=1e-14)
 
 
 def test_tension_with_shear_returns_to_zero_and_to_the_cohesive_apex():
-    mean, root, _, _ = return_map([5e3, 1e2, -5.0], [2e3, 1e1, 1e1], material())
+    mean, root, *_ = return_map([5e3, 1e2, -5.0], [2e3, 1e1, 1e1], material())
     assert np.all(mean[:2] == 0.0) and np.all(root[:2] == 0.0)
     assert mean[2] == -5.0 and root[2] == pytest.approx(5.0 * cone_slope(PHI, "inner"))
     cohesive = material(cohesion=1e3)
-    mean, root, _, _ = return_map([1e5], [1.0], cohesive)
+    mean, root, *_ = return_map([1e5], [1.0], cohesive)
     assert mean[0] == pytest.approx(1e3 / math.tan(math.radians(PHI)), rel=1e-12)
     assert root[0] == 0.0
 
@@ -114,8 +117,8 @@ def test_tension_with_shear_returns_to_zero_and_to_the_cohesive_apex():
 def test_shear_return_closed_form():
     """psi = 0: pressure unchanged, sqrt(J2) = eta p, d_eps = (sqrt(J2)_trial - eta p)/(sqrt3 G)."""
     constants = material()
-    mean, root, d_eps, work = return_map([-1e4], [2e4], constants)
-    assert mean[0] == -1e4
+    mean, root, d_eps, work, opened = return_map([-1e4], [2e4], constants)
+    assert mean[0] == -1e4 and opened[0] == 0.0
     assert root[0] == pytest.approx(constants.eta * 1e4, rel=1e-14)
     assert d_eps[0] == pytest.approx((2e4 - root[0]) / (math.sqrt(3) * SHEAR), rel=1e-12)
     assert work[0] == pytest.approx(root[0] * (2e4 - root[0]) / SHEAR, rel=1e-12)  # sqrt(J2) times gamma_p
@@ -129,18 +132,35 @@ def test_shear_return_closed_form():
 def test_any_trial_state_ends_inside_the_cone(mean, root, phi, psi_share, cohesion, cone):
     """Inside to 1e-9 of the stress, plastic work not negative, and a second return changes nothing."""
     constants = material(phi, psi_share * phi, cohesion, cone)
-    m, r, d_eps, work = (a[0] for a in return_map(mean, root, constants))
+    m, r, d_eps, work, opened = (a[0] for a in return_map(mean, root, constants))
     size = 1.0 + abs(mean) + root
     assert r + constants.eta * m - constants.xi <= 1e-9 * size
-    assert r >= 0 and d_eps >= 0 and work >= -1e-9 * size**2 / BULK
-    again_m, again_r, _, _ = (a[0] for a in return_map(m, r, constants))
+    assert r >= 0 and d_eps >= 0 and opened >= 0 and work >= -1e-9 * size**2 / BULK
+    again_m, again_r, _, _, again_opened = (a[0] for a in return_map(m, r, constants, opened))
     assert again_m == pytest.approx(m, abs=1e-9 * size)
     assert again_r == pytest.approx(r, abs=1e-9 * size)
+    assert again_opened == pytest.approx(opened, abs=1e-9 * size / BULK)
+
+
+def test_what_opened_at_the_apex_closes_before_pressure_returns():
+    """A closed loop of volume strain, +e then -e, ends at the stress it began with: no volume is gained."""
+    constants = material()
+    p0, steps, e = 5e3, 50, 0.02
+    mean, opening = -p0, 0.0
+    path = [e / steps] * steps + [-e / steps] * steps
+    total = 0.0
+    for increment in path:
+        total += increment
+        mean, root, _, _, opening = (a[0] for a in return_map(mean + BULK * increment, 0.0, constants, opening))
+        assert root == 0.0
+        assert mean == pytest.approx(min(-p0 + BULK * total, 0.0), abs=1e-6)  # zero while open, elastic once closed
+        assert opening == pytest.approx(max(total - p0 / BULK, 0.0), abs=1e-15)
+    assert mean == pytest.approx(-p0, rel=1e-9)
 
 
 def test_without_friction_the_cone_is_a_cylinder():
     """phi = 0: strength c whatever the pressure (Tresca's radius in plane strain), no apex."""
     constants = material(phi=0.0, cohesion=5e3, cone="plane_strain")
-    mean, root, _, _ = return_map([-1e6, 0.0, 1e6], [1e5, 1e5, 1e3], constants)
+    mean, root, *_ = return_map([-1e6, 0.0, 1e6], [1e5, 1e5, 1e3], constants)
     assert mean == pytest.approx([-1e6, 0.0, 1e6], abs=0)
     assert root == pytest.approx([5e3, 5e3, 1e3], rel=1e-12)
