@@ -10,7 +10,7 @@ import warp as wp
 from explicit.solver import ExplicitSolver
 from mpm.config import Scene, parse_scene
 from mpm.devices import find_device
-from mpm.errors import NumericalError, SceneError
+from mpm.errors import NumericalError, SceneError, StepRefused
 from mpm.provenance import peak_memory_mb, provenance
 from mpm.results import Results
 from mpm.runout import front, run_out
@@ -50,12 +50,14 @@ def resume(directory, device=None, monitor=None) -> dict:
     """Go on with a run from its checkpoint, by default on the device it was started on; return the summary.
 
     On the CPU the end is bitwise that of an uninterrupted run. Raises as `run`, and SceneError when there is
-    no checkpoint.
+    no checkpoint or the run has ended.
     """
     started = time.perf_counter()
     results = Results.open(directory)
     if not results.has_checkpoint:
         raise SceneError(f"{directory}: no checkpoint to resume from")
+    if (ended := results.summary()) is not None:
+        raise SceneError(f"{directory}: this run ended at t = {ended['sim_time']:.4g} s ({ended['stop_reason']})")
     place = find_device(device or str(results.provenance["device"]))
     this = ExplicitRun(build(parse_scene(results.scene)), results, place)
     this.restore(results.read_checkpoint())
@@ -108,7 +110,7 @@ class ExplicitRun:
             with _deferred_interrupt() as interrupt:
                 self._loop(interrupt, monitor)
         except NumericalError as error:
-            if self.solver.state_is_good:
+            if isinstance(error, StepRefused):
                 self.save()
             saved = self.results.read_checkpoint()["clock"][0]
             raise NumericalError(

@@ -13,7 +13,7 @@ from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
 from explicit.kernels.pencils import MARGIN
 from explicit.pencils import PencilGrid
-from mpm.errors import NumericalError
+from mpm.errors import NumericalError, StepRefused
 from mpm.scene import Body
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
@@ -177,8 +177,8 @@ class ExplicitSolver:
         """Take a batch of steps towards time `until` [s]: it may end a step past it, or well before, where the
         stored nodes must follow the points. The target of `aim` is met exactly. Returns the time reached.
 
-        Raises NumericalError when a point's state is not finite, when it crosses half a cell in one step, or
-        when a fixed time step passes the Courant limit (before it is taken).
+        Raises NumericalError when a point's state is not finite, when it crosses half a cell in one step, and
+        StepRefused when a fixed time step passes the Courant limit.
         """
         clock, fastest = self.clock.numpy(), float(np.max(self.speed.numpy()))
         travelled = clock[K.TRAVEL] + fastest * clock[K.DT]
@@ -206,20 +206,14 @@ class ExplicitSolver:
         for _ in range(rest):
             self.step()
 
-    @property
-    def state_is_good(self) -> bool:
-        """False once a point has gone wrong; a refused time step leaves the state as it was."""
-        fault = self.fault.numpy()
-        return not (fault[K.NOT_FINITE] or fault[K.TOO_FAST])
-
     def _check(self):
         fault = self.fault.numpy()
         if not fault.any():
             return
         where = f"at t = {self.time:.6g} s, step {self.steps}"
-        if self.state_is_good:
+        if not (fault[K.NOT_FINITE] or fault[K.TOO_FAST]):
             limit = self.body.scene.grid.cell / (self.setup.wave + float(np.max(self.speed.numpy()[: K.CARRIED])))
-            raise NumericalError(
+            raise StepRefused(
                 f"time step over the Courant limit {where}: explicit.time_step = {self.setup.fixed_dt:.4g} s "
                 f"must be below h/(c + |v|) = {limit:.4g} s; lower it, or leave it out for the adaptive step"
             )

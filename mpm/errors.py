@@ -15,3 +15,7 @@ class NumericalError(RuntimeError):
     """A run that cannot go on (exit code 3): says the time, the step, the point and what is saved."""
 
     exit_code = 3
+
+
+class StepRefused(NumericalError):
+    """A step that was not taken because it would be unstable; the state before it is whole."""

@@ -1,0 +1,229 @@
+"""The pictures: written, not blank, and drawn from the right numbers."""
+
+import time
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from compare import plots
+from compare.plots import plot_history, plot_morphology, plot_profile
+from mpm.analytic import eq4, quasistatic_profile
+from mpm.errors import SceneError
+from mpm.results import Results
+
+CELL = 0.125
+TAN = np.tan(np.radians(37.55))
+
+
+def scene(shape="column", model="drucker_prager", symmetry="quarter", cell=CELL):
+    geometry = {"shape": shape, "radius": 1.0, "aspect_ratio": 1.0, "symmetry": symmetry}
+    return {
+        "name": "synthetic",
+        "geometry": geometry if shape == "column" else {"shape": shape, "size": [1.0, 1.0, 1.0]},
+        "grid": {"cell": cell, "points_per_cell": 2},
+        "material": {"model": model, "friction_angle": 37.55},
+    }
+
+
+def block(count, spacing):
+    """Lattice points of a box of `count` points along x, y, z."""
+    return (np.indices(count).reshape(3, -1).T + 0.5) * spacing
+
+
+def eq4_deposit(x0):
+    """Points of a column of radius and height 1 moved, ring by ring, into Eq. 4's solid."""
+    r = np.linspace(0.0, 1.0 + eq4(1.0, TAN), 4000)
+    height = quasistatic_profile(1.0, TAN, r)
+    volume_inside = np.cumsum(r * height)
+    r0 = np.hypot(x0[:, 0], x0[:, 1])
+    radius = np.interp(r0**2, volume_inside / volume_inside[-1], r)
+    x = x0 * (radius / r0)[:, None]
+    x[:, 2] = x0[:, 2] * np.interp(radius, r, height)
+    return x
+
+
+def store(directory, scene, x0, x, history=(), **fields):
+    run = Results.create(directory, scene, {})
+    run.write_static("x0", x0)
+    run.write_snapshot(2.0, 100, {"x": x, "displacement": x - x0, **fields})
+    run.append_history(list(history))
+    return run
+
+
+@pytest.fixture
+def column(tmp_path):
+    """A quarter column that has become exactly Eq. 4's solid, with a plausible history."""
+    x0 = block((16, 16, 16), CELL / 2)
+    x0 = x0[np.hypot(x0[:, 0], x0[:, 1]) <= 1.0]
+    x = eq4_deposit(x0)
+    rows = [
+        {"time": t, "R_max": 0.6 * t, "R_995": 0.5 * t, "R_connected": 0.55 * t}
+        | {"W_ext": 100 * t, "KE_points": 20 * t, "KE_grid": 19 * t, "E_elastic": 7.0}
+        | {"W_plastic": 60 * t, "W_damping": 15 * t, "residual": 5 * t}
+        for t in np.linspace(0, 1, 20)
+    ]
+    volume = np.full(len(x), (CELL / 2) ** 3)
+    return store(tmp_path / "run", scene(), x0, x, rows, volume=volume, eps_p_eqv=np.hypot(*(x - x0)[:, ::2].T))
+
+
+def colours(path):
+    """Distinct colours of a picture, and the part of it that is not background."""
+    pixels = np.round(imread(path)[..., :3] * 255).astype(int).reshape(-1, 3)
+    codes, counts = np.unique(pixels @ [65536, 256, 1], return_counts=True)
+    return len(codes), 1.0 - counts.max() / counts.sum()
+
+
+def drawn(monkeypatch):
+    """Collects the figures instead of writing them, to look at what is in them."""
+    figures = []
+    monkeypatch.setattr(plots, "_save", lambda figure, path: figures.append(figure))
+    return figures
+
+
+def line(axes, label):
+    (found,) = (item for item in axes.lines if item.get_label() == label)
+    return found.get_xydata()
+
+
+@pytest.mark.parametrize(
+    ("plot", "least_colours", "least_ink"),
+    [(plot_morphology, 1000, 0.1), (plot_profile, 100, 0.1), (plot_history, 100, 0.02)],
+)
+def test_picture_is_written_where_asked_and_not_blank(column, tmp_path, plot, least_colours, least_ink):
+    path = plot(column, tmp_path / "picture.png")
+    assert path == tmp_path / "picture.png"
+    count, ink = colours(path)
+    assert count > least_colours
+    assert ink > least_ink
+
+
+def test_colour_scale_ends_at_the_98_percent_quantile(column, tmp_path, monkeypatch):
+    figures = drawn(monkeypatch)
+    plot_morphology(column, tmp_path / "picture.png")
+    _, section, scale = figures[0].axes
+    strain = column.snapshot(-1)["eps_p_eqv"]
+    assert scale.get_ylabel() == "equivalent plastic strain [-]"
+    assert section.collections[0].get_clim() == (0.0, pytest.approx(np.quantile(strain, 0.98)))
+
+
+def test_section_shows_the_points_by_the_symmetry_plane_and_the_initial_outline(column, tmp_path, monkeypatch):
+    figures = drawn(monkeypatch)
+    plot_morphology(column, tmp_path / "picture.png")
+    section = figures[0].axes[1]
+    x = column.snapshot(-1)["x"]
+    near = x[np.abs(x[:, 1]) < CELL]
+    np.testing.assert_array_equal(section.collections[0].get_offsets(), near[:, [0, 2]])
+    outline = section.lines[0].get_xydata()
+    np.testing.assert_allclose(outline.min(axis=0), [0, 0], atol=1e-12)
+    np.testing.assert_allclose(outline.max(axis=0), [1.0, 1.0], atol=1e-12)
+    assert section.get_aspect() == 1.0
+
+
+def test_elastic_scene_is_coloured_by_displacement_and_has_no_eq4(tmp_path, monkeypatch):
+    x0 = block((8, 8, 8), CELL / 2)
+    rows = [{"time": t, "R_max": 0.0, "W_ext": t, "KE_points": 0.0, "E_elastic": t} for t in (0.0, 1.0)]
+    run = store(tmp_path / "run", scene(model="elastic"), x0, x0 * [1, 1, 0.9], rows)
+    for plot in (plot_morphology, plot_profile, plot_history):
+        assert colours(plot(run, tmp_path / "picture.png"))[0] > 50
+    figures = drawn(monkeypatch)
+    for plot in (plot_morphology, plot_profile, plot_history):
+        plot(run, tmp_path / "picture.png")
+    assert figures[0].axes[2].get_ylabel() == "displacement [m]"
+    labels = [text.get_text() for figure in figures[1:] for text in figure.axes[0].get_legend().get_texts()]
+    assert labels and not any("Eq. 4" in label for label in labels)
+
+
+def test_undeformed_and_one_point_thick_bodies_can_be_drawn(tmp_path):
+    """No strain gives no colour range, one layer of points has no hull of its own."""
+    x0 = block((8, 1, 8), CELL / 2)
+    run = store(tmp_path / "run", scene("box"), x0, x0, eps_p_eqv=np.zeros(len(x0)))
+    assert colours(plot_morphology(run, tmp_path / "picture.png"))[0] > 50
+
+
+def test_body_off_the_plane_y_0_is_cut_where_it_comes_nearest_to_it(tmp_path, monkeypatch):
+    x0 = block((8, 8, 8), CELL / 2) + np.array([0.0, 5.0, 0.0])
+    run = store(tmp_path / "run", scene("mesh"), x0, x0)
+    figures = drawn(monkeypatch)
+    plot_morphology(run, tmp_path / "picture.png")
+    assert "y = 5.03 m" in figures[0].axes[1].get_title(loc="left")
+    assert len(figures[0].axes[1].collections[0].get_offsets()) == 2 * 8 * 8
+
+
+def test_200_000_points_are_thinned_to_the_surface_and_drawn_in_time(tmp_path):
+    x0 = block((60, 60, 56), 0.025)
+    run = store(tmp_path / "run", scene("box", cell=0.05), x0, x0 * [1.3, 1.3, 0.6], eps_p_eqv=x0[:, 2])
+    start = time.perf_counter()
+    plot_morphology(run, tmp_path / "picture.png")
+    assert time.perf_counter() - start < 20.0
+
+
+def test_surface_points_are_those_of_the_outer_cells():
+    x = block((8, 8, 8), 0.5)  # 4 x 4 x 4 cells of size 1: the inner 2 x 2 x 2 are hidden
+    hidden = np.all((x > 1.0) & (x < 3.0), axis=1)
+    np.testing.assert_array_equal(plots._on_surface(x, 1.0), ~hidden)
+
+
+def test_profile_of_eq4s_solid_lies_on_eq4(column, tmp_path, monkeypatch):
+    figures = drawn(monkeypatch)
+    plot_profile(column, tmp_path / "picture.png")
+    axes = figures[0].axes[0]
+    r, height = line(axes, "Eq. 4 (quasistatic)").T
+    rings, highest = line(axes, "highest point in the ring").T
+    rings, highest = rings[np.isfinite(highest)], highest[np.isfinite(highest)]
+    np.testing.assert_allclose(highest, np.interp(rings, r, height), atol=CELL)
+    np.testing.assert_array_equal(line(axes, "initial column"), [[0, 1], [1, 1], [1, 0]])
+
+
+@pytest.mark.parametrize(("symmetry", "low"), [("full", (-8, -8)), ("half", (-8, 0)), ("quarter", (0, 0))])
+def test_thickness_is_the_height_of_a_flat_topped_column_for_every_symmetry(symmetry, low):
+    spacing = 0.0625
+    corner = np.array([*low, 0])
+    x = (np.indices((*(8 - corner[:2]), 4)).reshape(3, -1).T + 0.5 + corner) * spacing
+    x = x[np.hypot(x[:, 0], x[:, 1]) <= 0.5]
+    sector = plots.SECTOR[symmetry]
+    edges, highest, thickness = plots._radial_profile({"x": x}, 0.125, spacing / 2, sector)
+    full = len(thickness) - 1
+    np.testing.assert_allclose(highest[:full], 0.25)
+    assert np.sum(thickness * np.diff(edges**2) * np.pi) * sector == pytest.approx(len(x) * spacing**3)
+    np.testing.assert_allclose(thickness[:full], 0.25, rtol=0.35)  # a lattice fills thin rings unevenly
+
+
+def test_profile_is_refused_for_a_box(tmp_path):
+    x0 = block((4, 4, 4), CELL / 2)
+    run = store(tmp_path / "run", scene("box"), x0, x0)
+    with pytest.raises(SceneError, match="only a column"):
+        plot_profile(run, tmp_path / "picture.png")
+
+
+def test_history_shows_run_outs_eq4_and_every_energy(column, tmp_path, monkeypatch):
+    figures = drawn(monkeypatch)
+    plot_history(column, tmp_path / "picture.png")
+    run_out, energy = figures[0].axes
+    times, r_max = line(run_out, "farthest point").T
+    np.testing.assert_allclose(r_max, 0.6 * times)
+    assert line(run_out, "Eq. 4 (quasistatic)")[0, 1] == pytest.approx(float(eq4(1.0, TAN)))
+    history = column.history()
+    shown = {item.get_label(): item.get_ydata() for item in energy.lines}
+    np.testing.assert_array_equal(shown["plastic dissipation"], history["W_plastic"])
+    np.testing.assert_array_equal(shown["residual"], history["residual"])
+    assert len(shown) == 7
+    assert (run_out.get_xlabel(), energy.get_ylabel()) == ("time [s]", "energy [J]")
+
+
+@pytest.mark.parametrize("plot", [plot_morphology, plot_profile, plot_history])
+def test_empty_run_is_a_scene_error(tmp_path, plot):
+    run = Results.create(tmp_path / "run", scene(), {})
+    with pytest.raises(SceneError, match="to plot"):
+        plot(run, tmp_path / "picture.png")
+
+
+def test_nothing_global_is_left_behind(column, tmp_path):
+    import matplotlib
+    from matplotlib import _pylab_helpers
+
+    before = dict(matplotlib.rcParams)
+    for plot in (plot_morphology, plot_profile, plot_history):
+        plot(column, tmp_path / "picture.png")
+    assert dict(matplotlib.rcParams) == before
+    assert _pylab_helpers.Gcf.get_all_fig_managers() == []

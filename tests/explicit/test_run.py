@@ -1,0 +1,85 @@
+"""How a run ends: divergence keeps the last good checkpoint, a finished run is not run on."""
+
+import numpy as np
+import pytest
+
+from explicit.run import ExplicitRun, resume, run
+from mpm.config import load_scene
+from mpm.devices import find_device
+from mpm.errors import NumericalError, SceneError
+from mpm.results import Results
+from mpm.scene import build
+
+COARSE = ["grid.cell=0.25", "explicit.until=0.3", "output.every=0.1"]
+
+
+def started(directory, *settings):
+    scene = load_scene("column_1", [*COARSE, *settings])
+    place = {"device": "cpu", "device_name": "-"}
+    results = Results.create(directory, scene.model_dump(mode="json"), place)
+    body = build(scene)
+    results.write_static("x0", body.x)
+    part = ExplicitRun(body, results, find_device("cpu"))
+    part.begin()
+    return part
+
+
+def steps_until(part, time):
+    while part.solver.time < time:
+        part.advance()
+
+
+def test_a_point_that_is_not_finite_stops_the_run_by_name(tmp_path):
+    part = started(tmp_path)
+    steps_until(part, 0.15)
+    saved = part.results.read_checkpoint()
+    v = part.solver.v.numpy()
+    v[7] = np.nan
+    part.solver.v.assign(v)
+    with pytest.raises(NumericalError, match=r"point \d+: its velocity is not finite.*\nlast good state: t = 0\.1 s"):
+        part.go(0.0, None)
+    after = part.results.read_checkpoint()
+    assert np.array_equal(after["x"], saved["x"]) and np.isfinite(after["v"]).all()
+    assert resume(tmp_path)["sim_time"] == pytest.approx(0.3)
+
+
+def test_a_point_that_outruns_the_grid_stops_the_run_by_name(tmp_path):
+    part = started(tmp_path)
+    steps_until(part, 0.05)
+    v = part.solver.v.numpy()
+    v[3] = [0.0, 0.0, 1e6]
+    part.solver.v.assign(v)
+    with pytest.raises(NumericalError, match="crossed more than half a cell in one step"):
+        part.go(0.0, None)
+
+
+def test_growing_energy_stops_the_run_and_keeps_the_checkpoint_before_it(tmp_path):
+    """All points thrown upwards in mid-run: kinetic energy that gravity never supplied."""
+    part = started(tmp_path)
+    steps_until(part, 0.15)
+    v = part.solver.v.numpy()
+    part.solver.v.assign(v + np.array([0.0, 0.0, 5.0]))
+    with pytest.raises(NumericalError, match="exceeds what gravity supplied"):
+        part.go(0.0, None)
+    assert part.results.read_checkpoint()["clock"][0] == pytest.approx(0.1)
+
+
+def test_a_refused_time_step_saves_the_state_it_started_from(tmp_path):
+    part = started(tmp_path, "explicit.time_step=0.00396")  # h/c = 3.988 ms: too long from |v| = 0.44 m/s on
+    with pytest.raises(NumericalError, match="Courant limit"):
+        part.go(0.0, None)
+    state = part.results.read_checkpoint()
+    assert state["clock"][0] > 0.0 and np.isfinite(state["x"]).all()
+
+
+def test_a_finished_run_is_not_resumed(tmp_path):
+    run(load_scene("column_1", COARSE), tmp_path)
+    with pytest.raises(SceneError, match=r"ended at t = 0\.3 s \(end_time\)"):
+        resume(tmp_path)
+
+
+def test_elastic_column_at_rest_stops_by_itself(tmp_path):
+    """`until = "rest"`: the block settles, and the run says so."""
+    summary = run(load_scene("self_weight", ["grid.cell=0.25", "explicit.damping=0.4"]), tmp_path)
+    assert summary["stop_reason"] == "rest"
+    assert summary["grid_ke_ratio"] < 1e-4 and summary["mass_error"] < 1e-13

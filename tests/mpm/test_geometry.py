@@ -1,0 +1,198 @@
+"""Seeding of columns, boxes and meshes, and the walls that go with each."""
+
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+
+from mpm.config import Box, Column, Mesh, load_scene
+from mpm.errors import SceneError
+from mpm.geometry import seed
+from mpm.lattice import FIXED, FREE, NOWHERE, ROLLER, walls_of
+
+CELL = 0.1
+SPACING = CELL / 2
+MESHES = Path(__file__).parents[2] / "meshes"
+SHARE = {"quarter": 0.25, "half": 0.5, "full": 1.0}
+
+
+def column(symmetry="quarter", radius=1.0, aspect_ratio=0.5):
+    return Column(shape="column", radius=radius, aspect_ratio=aspect_ratio, symmetry=symmetry)
+
+
+def as_set(x):
+    """Points as lattice indices, exact to compare."""
+    return {tuple(index) for index in np.round(x / SPACING - 0.5).astype(int)}
+
+
+def assert_on_lattice_in_order(x):
+    """Centres of half cells, each once, by x, then y, then z (z fastest)."""
+    index = x / SPACING - 0.5
+    np.testing.assert_allclose(index, np.round(index), atol=1e-9)
+    index = np.round(index).astype(int)
+    order = np.lexsort((index[:, 2], index[:, 1], index[:, 0]))
+    np.testing.assert_array_equal(order, np.arange(len(x)))
+    assert len(np.unique(index, axis=0)) == len(index)
+
+
+# Columns
+
+
+@pytest.mark.parametrize("symmetry", SHARE)
+def test_column_fills_its_share_of_the_cylinder(symmetry):
+    seeds = seed(column(symmetry), CELL)
+    assert len(seeds.x) * SPACING**3 == pytest.approx(SHARE[symmetry] * np.pi * 0.5, rel=0.01)
+    assert (seeds.reference, seeds.height) == (1.0, 0.5)
+    assert_on_lattice_in_order(seeds.x)
+    assert np.hypot(seeds.x[:, 0], seeds.x[:, 1]).max() <= 1.0
+    assert seeds.x[:, 2].min() == pytest.approx(SPACING / 2)
+    assert seeds.x[:, 2].max() == pytest.approx(0.5 - SPACING / 2)
+
+
+def test_full_column_is_four_quarters_and_half_is_two():
+    quarter, half, full = (as_set(seed(column(symmetry), CELL).x) for symmetry in SHARE)
+    assert len(full) == 2 * len(half) == 4 * len(quarter)
+    assert quarter == {(i, j, k) for i, j, k in full if i >= 0 and j >= 0}
+    assert half == {(i, j, k) for i, j, k in full if j >= 0}
+
+
+def test_full_column_is_symmetric_about_both_planes_and_the_diagonal():
+    full = as_set(seed(column("full"), CELL).x)
+    assert full == {(-1 - i, j, k) for i, j, k in full}
+    assert full == {(i, -1 - j, k) for i, j, k in full}
+    assert full == {(j, i, k) for i, j, k in full}
+
+
+def test_every_centre_within_the_radius_is_taken():
+    found = as_set(seed(column("full", radius=0.53, aspect_ratio=0.5), CELL).x)
+    expected = {
+        (i, j, k)
+        for i in range(-20, 20)
+        for j in range(-20, 20)
+        for k in range(20)
+        if np.hypot(i + 0.5, j + 0.5) * SPACING <= 0.53 and (k + 0.5) * SPACING < 0.265
+    }
+    assert found == expected
+
+
+@pytest.mark.parametrize(("aspect_ratio", "layers"), [(0.1, 2), (0.5, 10), (0.51, 10), (0.53, 11), (2.0, 40)])
+def test_layers_are_those_whose_centres_lie_below_the_top(aspect_ratio, layers):
+    z = seed(column(aspect_ratio=aspect_ratio), CELL).x[:, 2]
+    np.testing.assert_allclose(np.unique(z.round(9)), (np.arange(layers) + 0.5) * SPACING)
+
+
+# Boxes
+
+
+def test_box_is_filled_exactly():
+    """An odd number of half cells too, and lengths that binary numbers do not hold."""
+    seeds = seed(Box(shape="box", size=(0.3, 0.35, 1.1)), CELL)
+    assert len(seeds.x) == 6 * 7 * 22
+    assert as_set(seeds.x) == {(i, j, k) for i in range(6) for j in range(7) for k in range(22)}
+    assert len(seeds.x) * SPACING**3 == pytest.approx(0.3 * 0.35 * 1.1)
+    assert (seeds.reference, seeds.height) == (0.3, 1.1)
+    assert_on_lattice_in_order(seeds.x)
+
+
+# Meshes
+
+
+def mesh(path, symmetry="full"):
+    return Mesh(shape="mesh", file=str(path), symmetry=symmetry)
+
+
+def cube(path, shift=(0.0, 0.0, 0.0)):
+    """A closed surface of edge 1 m, written as an STL file."""
+    corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], float) + shift
+    faces = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+    triangles = np.array([[f[a] for a in half] for f in faces for half in ((0, 1, 2), (0, 2, 3))])
+    meshio.Mesh(corners, [("triangle", triangles)]).write(path, file_format="stl", binary=True)
+    return path
+
+
+def test_mesh_cube_is_seeded_as_the_box_is(tmp_path):
+    seeds = seed(mesh(cube(tmp_path / "cube.stl")), CELL)
+    assert as_set(seeds.x) == as_set(seed(Box(shape="box", size=(1.0, 1.0, 1.0)), CELL).x)
+    assert_on_lattice_in_order(seeds.x)
+    assert seeds.reference == pytest.approx(np.sqrt(2.0))
+    assert seeds.height == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("symmetry", "share"), SHARE.items(), ids=SHARE)
+def test_mesh_symmetry_cuts_at_the_planes(tmp_path, symmetry, share):
+    path = cube(tmp_path / "cube.stl", (-0.5, -0.5, 0.0))
+    x = seed(mesh(path, symmetry), CELL).x
+    assert len(x) == share * 20**3
+    assert x[:, 1].min() > 0 or symmetry == "full"
+    assert x[:, 0].min() > 0 or symmetry != "quarter"
+
+
+def test_mesh_below_the_base_is_refused(tmp_path):
+    path = cube(tmp_path / "cube.stl", (0.0, 0.0, -0.2))
+    with pytest.raises(SceneError, match=r"cube\.stl: reaches down to z = -0\.2.* stands on z = 0 \[m\]"):
+        seed(mesh(path), CELL)
+
+
+def test_mesh_a_rounding_error_below_the_base_is_accepted(tmp_path):
+    path = cube(tmp_path / "cube.stl", (0.0, 0.0, -1e-9))
+    assert len(seed(mesh(path), CELL).x) == 20**3
+
+
+# Walls
+
+
+def walls(*overrides, preset="column_small"):
+    return walls_of(load_scene(preset, list(overrides)))
+
+
+@pytest.mark.parametrize(
+    ("symmetry", "kinds", "planes"),
+    [
+        ("quarter", (ROLLER, ROLLER, FIXED), (0, 0, 0)),
+        ("half", (FREE, ROLLER, FIXED), (-NOWHERE, 0, 0)),
+        ("full", (FREE, FREE, FIXED), (-NOWHERE, -NOWHERE, 0)),
+    ],
+)
+def test_a_column_stands_on_a_rough_base_between_its_planes_of_symmetry(symmetry, kinds, planes):
+    found = walls(f"geometry.symmetry={symmetry}")
+    assert (found.low_kind, found.low) == (kinds, planes)
+    assert found.high_kind == (FREE, FREE, FREE)
+    assert found.high == (NOWHERE, NOWHERE, NOWHERE)
+
+
+def test_a_mesh_has_a_columns_walls(tmp_path):
+    text = (
+        'name = "body"\ngeometry = {shape = "mesh", file = "cube.stl", symmetry = "half"}\ngrid = {cell = 0.1}\n'
+        "[material]\nyoung = 1e6\npoisson = 0.3\ndensity = 2000\nfriction_angle = 30\n"
+    )
+    (tmp_path / "scene.toml").write_text(text)
+    assert walls(preset=str(tmp_path / "scene.toml")) == walls("geometry.symmetry=half")
+
+
+def test_a_box_has_the_walls_it_is_given():
+    """elastic_bar: 2 x 2 x 40 cells, rollers all round, on a fixed base, free at the top."""
+    found = walls(preset="elastic_bar")
+    assert found.low_kind == (ROLLER, ROLLER, FIXED)
+    assert found.low == (0, 0, 0)
+    assert found.high_kind == (ROLLER, ROLLER, FREE)
+    assert found.high == (2, 2, NOWHERE)
+    found = walls("geometry.walls.x_min=free", "geometry.walls.z_max=fixed", preset="elastic_bar")
+    assert (found.low_kind[0], found.low[0]) == (FREE, -NOWHERE)
+    assert (found.high_kind[2], found.high[2]) == (FIXED, 40)
+
+
+def test_a_boxs_own_walls_are_a_fixed_base_and_nothing_else():
+    box = Box(shape="box", size=(1.0, 1.0, 1.0))
+    scene = load_scene("elastic_bar").model_copy(update={"geometry": box})
+    found = walls_of(scene)
+    assert (found.low_kind, found.high_kind) == ((FREE, FREE, FIXED), (FREE, FREE, FREE))
+
+
+@pytest.mark.parametrize(("preset", "side", "top"), [("column_0.5", 40, 10), ("column_4", 320, 80)])
+def test_paper_extent_puts_rollers_at_4_h0(preset, side, top):
+    found = walls("grid.extent=paper", preset=preset)
+    assert (found.low_kind, found.low) == ((ROLLER, ROLLER, FIXED), (0, 0, 0))
+    assert found.high_kind == (ROLLER, ROLLER, FREE)
+    assert found.high == (side, side, NOWHERE)
+    assert side * 0.05 == pytest.approx(4 * top * 0.05)
