@@ -181,8 +181,8 @@ def _table1(body) -> Table:
     for heading in ("lambda0", "n_el", "n_no", "n_mp", "nodes stored at start", "nodes stored at most"):
         table.add_column(heading, justify="right")
     at_most, folder = "run it first", Path("runs") / f"{scene.name}-explicit"
-    if (folder / "summary.json").is_file():
-        at_most = f"{Results.open(folder).summary()['nodes_stored_max']:,} ({folder})"
+    if (folder / "summary.json").is_file() and Results.open(folder).scene == scene.model_dump(mode="json"):
+        at_most = f"{Results.open(folder).summary()['nodes_stored_max']:,}"
     start = ExplicitSolver(body, find_device("cpu")).nodes_stored_start
     table.add_row(f"{scene.geometry.aspect_ratio:g}", str(n_el), str(n_no), str(len(body.x)), f"{start:,}", at_most)
     return table

@@ -76,10 +76,14 @@ class ExplicitRun:
         if self.rest_wanted:
             self.end = scene.explicit.max_time or MAX_TIME * body.time_scale
         self.every = scene.output.every
-        self.history_every = scene.output.history_every or body.time_scale / HISTORY_ROWS
+        watch = body.time_scale / HISTORY_ROWS
+        self.history_every = scene.output.history_every or watch
+        if self.rest_wanted:
+            self.history_every = min(self.history_every, watch)  # rest is judged on history rows
         self.snapshots = self.rows = 0
-        self.peak_ke = self.peak_memory = self.wall_before = 0.0
-        self.recent: list[tuple[float, float]] = []  # (time, R_995) over the last sqrt(h0/g)
+        self.peak_ke = self.wall_before = 0.0
+        self.recent: list[tuple[float, float, float]] = []  # (time, R_995, grid KE) over the last sqrt(h0/g)
+        self.stepping_since = None
         self.unsaved: list[dict[str, float]] = []  # history rows since the last checkpoint
         self.stop_reason = None
 
@@ -94,7 +98,7 @@ class ExplicitRun:
         """Take over a checkpoint, and drop outputs written after it."""
         self.solver.restore(state)
         for name in ("snapshots", "rows", "peak_ke", "e0", "wall_before"):
-            setattr(self, name, state[name].item() if hasattr(state[name], "item") else state[name])
+            setattr(self, name, state[name])
         self.recent = [tuple(row) for row in state["recent"]]
         self.solver.nodes_stored_start = int(state["nodes_stored_start"])
         self.solver.nodes_stored_max = max(int(state["nodes_stored_max"]), self.solver.nodes_stored_max)
@@ -109,6 +113,10 @@ class ExplicitRun:
         try:
             with _deferred_interrupt() as interrupt:
                 self._loop(interrupt, monitor)
+                summary = self.summary()
+                if self.body.scene.output.vtk:
+                    write_vtk(self.results)
+                self.results.finish(summary)
         except NumericalError as error:
             if isinstance(error, StepRefused):
                 self.save()
@@ -119,10 +127,6 @@ class ExplicitRun:
         finally:
             if monitor:
                 monitor.stop(self)
-        summary = self.summary()
-        if self.body.scene.output.vtk:
-            write_vtk(self.results)
-        self.results.finish(summary)
         return summary
 
     def _loop(self, interrupt, monitor):
@@ -142,7 +146,7 @@ class ExplicitRun:
         row, ended = None, now >= self.end
         if now >= self.rows * self.history_every or ended:
             row = self._write_row()
-            if self.rest_wanted and self._at_rest(row):
+            if self.rest_wanted and self._at_rest():
                 self.stop_reason = "rest"
             elif ended:
                 self.stop_reason = "max_time" if self.rest_wanted else "end_time"
@@ -161,8 +165,9 @@ class ExplicitRun:
         row["residual"] = supplied - self._kinetic_and_elastic(energies)
         row["residual"] -= energies["W_plastic"] + energies["W_damping"]
         self.peak_ke = max(self.peak_ke, energies["KE_grid"])
-        self.recent = [entry for entry in self.recent if entry[0] >= time_now - 1.1 * self.body.time_scale]
-        self.recent.append((time_now, row["R_995"]))
+        self.recent.append((time_now, row["R_995"], row["KE_grid"]))
+        while len(self.recent) > 1 and self.recent[1][0] <= time_now - self.body.time_scale:
+            self.recent.pop(0)
         self.unsaved.append(row)
         self.last_row = row
         self.rows = int(time_now / self.history_every + 1e-9) + 1
@@ -179,13 +184,13 @@ class ExplicitRun:
     def _kinetic_and_elastic(energies) -> float:
         return energies["KE_points"] + energies["E_elastic"]
 
-    def _at_rest(self, row) -> bool:
-        """Grid kinetic energy and front drift both small; the points' own never decays under FLIP."""
-        since = row["time"] - self.body.time_scale
-        if self.recent[0][0] > since or row["KE_grid"] > REST_KE * self.peak_ke:
+    def _at_rest(self) -> bool:
+        """Grid kinetic energy small all through the last sqrt(h0/g), so that no turning point of a swing counts,
+        and front drift small over it. The points' own kinetic energy never decays under FLIP."""
+        (since, earlier, _), (now, runout, _) = self.recent[0], self.recent[-1]
+        if now - since < self.body.time_scale or max(ke for _, _, ke in self.recent) > REST_KE * self.peak_ke:
             return False
-        earlier = [runout for when, runout in self.recent if when <= since][-1]
-        return abs(row["R_995"] - earlier) < REST_DRIFT * (1.0 + row["R_995"])
+        return abs(runout - earlier) < REST_DRIFT * (1.0 + runout)
 
     def _write_snapshot(self):
         wanted = self.body.scene.output.fields
@@ -201,7 +206,7 @@ class ExplicitRun:
         }
         if self.body.constants.plastic:
             makers["eps_p_eqv"] = self.solver.eps_p_eqv.numpy
-        fields |= {name: makers[name]() for name in wanted if name in makers}
+        fields |= {name: makers[name]() for name in wanted}
         # Single precision is ample for pictures and metrics and halves the file; restarts use the checkpoint.
         fields = {name: value.astype(np.float32) for name, value in fields.items()}
         self.results.write_snapshot(self.solver.time, self.solver.steps, fields)
@@ -221,7 +226,7 @@ class ExplicitRun:
         self.results.write_checkpoint(state)
 
     def _wall(self) -> float:
-        since = getattr(self, "stepping_since", None)
+        since = self.stepping_since
         return self.wall_before + (time.perf_counter() - since if since else 0.0)
 
     def summary(self) -> dict:
@@ -234,7 +239,7 @@ class ExplicitRun:
             "points": solver.points,
             "cells_per_radius": self.body.measure.reference / scene.grid.cell,
             "precision": scene.explicit.precision,
-            "device": self.results.provenance["device"],
+            "device": solver.device.alias,
             "steps": solver.steps,
             "sim_time": solver.time,
             "wall_s": wall,

@@ -139,15 +139,15 @@ class ExplicitSolver:
         x, v, carry, sigma, volume = self.x, self.v, self.carry, self.sigma, self.volume
         momentum, force, mapped = self.node_momentum, self.node_force, self.node_mapped
         faults = (self.speed, self.fault)
-        plastic = (self.eps_p_eqv, self.opening, self.ledger)
+        plastic = (self.eps_p_eqv, self.opening, self.ledger, self.fault)
         where = (setup, pencils, clock)
 
         phases = [(k.begin_step, 1, (setup, clock, *faults))]
         if self.averaging:
             phases += [
                 (k.clear_cells, nodes, (clock, self.cell_mean)),
-                (k.gather_cell_pressure, n, (*where, x, sigma, volume, self.cell_mean)),
-                (k.spread_cell_pressure, n, (*where, x, sigma, self.cell_mean)),
+                (k.gather_cell_pressure, n, (*where, x, sigma, volume, self.opening, self.cell_mean)),
+                (k.spread_cell_pressure, n, (*where, x, sigma, self.opening, self.cell_mean)),
             ]
         phases += [
             (k.clear_grid, nodes, (clock, momentum, force, mapped)),
@@ -177,8 +177,8 @@ class ExplicitSolver:
         """Take a batch of steps towards time `until` [s]: it may end a step past it, or well before, where the
         stored nodes must follow the points. The target of `aim` is met exactly. Returns the time reached.
 
-        Raises NumericalError when a point's state is not finite, when it crosses half a cell in one step, and
-        StepRefused when a fixed time step passes the Courant limit.
+        Raises NumericalError when a point's state is not finite, it crosses half a cell in one step or its volume
+        turns negative, and StepRefused when a fixed time step passes the Courant limit.
         """
         clock, fastest = self.clock.numpy(), float(np.max(self.speed.numpy()))
         travelled = clock[K.TRAVEL] + fastest * clock[K.DT]
@@ -211,19 +211,22 @@ class ExplicitSolver:
         if not fault.any():
             return
         where = f"at t = {self.time:.6g} s, step {self.steps}"
-        if not (fault[K.NOT_FINITE] or fault[K.TOO_FAST]):
-            limit = self.body.scene.grid.cell / (self.setup.wave + float(np.max(self.speed.numpy()[: K.CARRIED])))
-            raise StepRefused(
-                f"time step over the Courant limit {where}: explicit.time_step = {self.setup.fixed_dt:.4g} s "
-                f"must be below h/(c + |v|) = {limit:.4g} s; lower it, or leave it out for the adaptive step"
-            )
-        kind = K.NOT_FINITE if fault[K.NOT_FINITE] else K.TOO_FAST
-        point = int(fault[kind]) - 1
-        what = ("its velocity is not finite", "it crossed more than half a cell in one step")[kind]
-        x, v = self.x.numpy()[point], self.v.numpy()[point]
-        raise NumericalError(
-            f"diverged {where}, point {point}: {what} (x = {np.array2string(x, precision=4)} m, "
-            f"v = {np.array2string(v, precision=4)} m/s, dt = {self.time_step:.3g} s)"
+        troubles = {
+            K.NOT_FINITE: "its velocity is not finite",
+            K.TOO_FAST: "it crossed more than half a cell in one step",
+            K.INVERTED: "its volume turned negative",
+        }
+        for kind, what in troubles.items():
+            if fault[kind]:
+                point = int(fault[kind]) - 1
+                x, v = (np.array2string(a.numpy()[point], precision=4) for a in (self.x, self.v))
+                raise NumericalError(
+                    f"diverged {where}, point {point}: {what} (x = {x} m, v = {v} m/s, dt = {self.time_step:.3g} s)"
+                )
+        limit = self.body.scene.grid.cell / (self.setup.wave + float(np.max(self.speed.numpy()[: K.CARRIED])))
+        raise StepRefused(
+            f"time step over the Courant limit {where}: explicit.time_step = {self.setup.fixed_dt:.4g} s "
+            f"must be below h/(c + |v|) = {limit:.4g} s; lower it, or leave it out for the adaptive step"
         )
 
     def energies(self) -> dict[str, float]:

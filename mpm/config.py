@@ -130,9 +130,12 @@ class Explicit(Section):
 
 
 class Output(Section):
-    every: float = quantity("s", "simulated time between snapshots (and checkpoints)", 0.1, gt=0)
+    every: float = quantity("s", "simulated time between snapshots (and checkpoints)", 0.1, ge=1e-6)
     history_every: float | None = quantity(
-        "s", "simulated time between history rows; default sqrt(height/gravity)/20", None, gt=0
+        "s",
+        "simulated time between history rows; default, and at most until rest, sqrt(height/gravity)/20",
+        None,
+        ge=1e-6,
     )
     fields: tuple[Literal[FIELDS], ...] = Field(
         ("displacement", "velocity", "stress", "eps_p_eqv"), description="point fields of the snapshots", strict=False
@@ -324,6 +327,16 @@ def _cross_checks(scene: Scene) -> list[str]:
         if cell > smallest:
             problems.append(
                 f"grid.cell = {cell:g}: the cell is larger than the column, must be <= its {name} = {smallest:g} [m]"
+            )
+        halves = 2.0 * shape.height / cell
+        if not problems and abs(halves - round(halves)) > 1e-6:
+            problems.append(
+                f"grid.cell = {cell:g}: half a cell must divide the column's height radius*aspect_ratio = "
+                f"{shape.height:g} [m], as points are half a cell apart"
+            )
+        elif scene.grid.extent == "paper" and round(halves) % 2:
+            problems.append(
+                f"grid.cell = {cell:g}: extent = 'paper' needs whole cells in the height {shape.height:g} [m]"
             )
     if isinstance(shape, Box):
         for axis, length in zip("xyz", shape.size, strict=True):

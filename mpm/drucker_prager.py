@@ -75,9 +75,9 @@ def drucker_prager(real):
     sqrt(2/3 eps_p:eps_p) [-] and the plastic work per volume [J/m3].
 
     Shear return where it lands on the cone, otherwise the apex: sigma = (xi/eta) I, zero at c = 0. What opens at
-    the apex must close before pressure builds up again. Without that memory each opening and closing leaves the
-    material larger: a psi = 0 column (lambda0 = 1, 10 cells per r0) gained 13 % of volume at D = 0.4, 29 % at
-    D = 0.05, and crept without end.
+    the apex must close, at zero pressure, before pressure builds up again. Without that memory each opening and
+    closing leaves the material larger: a psi = 0 column (lambda0 = 1, 10 cells per r0) gained 13 % of volume at
+    D = 0.4, 29 % at D = 0.05, and crept without end.
     """
     name = f"repose_{real.__name__}"
     zero, one, three, nine = (wp.constant(real(value)) for value in (0.0, 1.0, 3.0, 9.0))
@@ -95,27 +95,33 @@ def drucker_prager(real):
 
     @wp.func(module=name)
     def return_map(sigma_m: real, root_j2: real, opening: real, material: Material):
-        trial = sigma_m + material.bulk * opening
-        f = root_j2 + material.eta * trial - material.xi
+        trial = sigma_m
+        opened = opening
+        if opening > zero and sigma_m < zero:
+            trial = wp.min(sigma_m + material.bulk * opening, zero)  # what is open closes first, at no pressure
+            opened = wp.max(opening - (trial - sigma_m) / material.bulk, zero)
         mean = trial
         scale = one
-        opened = zero
         d_eps = zero
         work = zero
+        f = root_j2 + material.eta * trial - material.xi
         if f > zero:
             d_lambda = f / (material.shear + material.bulk * material.eta * material.eta_bar)
-            root = root_j2 - material.shear * d_lambda
-            if root >= zero:
+            if opened > zero and trial <= zero:
+                d_lambda = f / material.shear  # still open: dilatancy has room and builds no pressure
+            else:
                 mean = trial - material.bulk * material.eta_bar * d_lambda
+            root = root_j2 - material.shear * d_lambda
+            volume_strain = (trial - mean) / material.bulk
+            if root >= zero:
                 scale = root / root_j2
-                d_eps = d_lambda * wp.sqrt(one / three + two * material.eta_bar * material.eta_bar / nine)
-                volume_strain = material.eta_bar * d_lambda
+                d_eps = wp.sqrt(d_lambda * d_lambda / three + two * volume_strain * volume_strain / nine)
             else:
                 mean = material.xi / material.eta
                 scale = zero
-                opened = (trial - mean) / material.bulk
+                volume_strain = (trial - mean) / material.bulk
+                opened = opened + volume_strain
                 shear_strain = root_j2 / material.shear
-                volume_strain = opened - opening
                 d_eps = wp.sqrt(shear_strain * shear_strain / three + two * volume_strain * volume_strain / nine)
             work = mean * volume_strain + scale * (one - scale) * root_j2 * root_j2 / material.shear
         return mean, scale, opened, d_eps, work

@@ -36,6 +36,10 @@ def seed(geometry: Column | Box | Mesh, cell: float) -> Seeds:
             f"geometry.file = {geometry.file}: reaches down to z = {vertices[:, 2].min():g}, "
             "but a body stands on z = 0 [m]"
         )
+    if np.any(vertices[:, :2].min(axis=0) > 0) or np.any(vertices[:, :2].max(axis=0) < 0):
+        raise SceneError(
+            f"geometry.file = {geometry.file}: the axis x = y = 0, from which run-out is measured, misses the body"
+        )
     x_min = 0.0 if geometry.symmetry == "quarter" else -np.inf
     y_min = 0.0 if geometry.symmetry in ("quarter", "half") else -np.inf
     x = seed_inside(vertices, triangles, spacing, x_min, y_min)
@@ -48,8 +52,8 @@ def _column(column: Column, spacing: float) -> np.ndarray:
     both = np.concatenate([-one_side[::-1], one_side])
     x = one_side if column.symmetry == "quarter" else both
     y = both if column.symmetry == "full" else one_side
-    layers = int(np.floor(column.height / spacing + 0.5 - 1e-9))  # centres below h0
-    points = _lattice(x, y, (np.arange(max(layers, 1)) + 0.5) * spacing)
+    layers = round(column.height / spacing)
+    points = _lattice(x, y, (np.arange(layers) + 0.5) * spacing)
     return points[points[:, 0] ** 2 + points[:, 1] ** 2 <= column.radius**2]
 
 

@@ -9,6 +9,7 @@ from explicit.kernels.layout import (
     CARRIED,
     DT,
     GRAVITY,
+    INVERTED,
     NOT_FINITE,
     OVER_LIMIT,
     STEPS,
@@ -56,11 +57,11 @@ def clock_kernels(real):
         if dt > limit:
             fault[OVER_LIMIT] = 1
         time = clock[TIME]
-        left = clock[TARGET] - time
+        left = wp.max(clock[TARGET] - time, float64(0.0))
         finished = time + dt * float64(1.0 + 1.0e-6) >= clock[TARGET]
         if finished:
             dt = left
-        faults = fault[NOT_FINITE] + fault[TOO_FAST] + fault[OVER_LIMIT]
+        faults = fault[NOT_FINITE] + fault[TOO_FAST] + fault[INVERTED] + fault[OVER_LIMIT]
         if clock[TRAVEL] > setup.margin or faults > 0:
             dt = float64(0.0)
         if dt > float64(0.0):

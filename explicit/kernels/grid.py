@@ -98,7 +98,7 @@ def grid_kernels(real):
                 for axis in range(3):
                     if wp.abs(v[axis]) > setup.still:
                         damped[axis] = size * wp.sign(v[axis]) * mask[axis]
-            dv = (dt / m) * (f - damped)
+            dv = dt * ((f - damped) / m)
             v_new = v + dv
             node_momentum[n] = vec4(m, v_new[0], v_new[1], v_new[2])
             node_force[n] = vec4(dv[0], dv[1], dv[2], zero)
@@ -122,8 +122,8 @@ def grid_kernels(real):
         n = wp.tid()
         m = node_velocity[n][0]
         if m > zero:
-            mask = node_mask(walls, pencils, pencil_of, n) / m
-            q = node_mapped[n]
+            mask = node_mask(walls, pencils, pencil_of, n)
+            q = node_mapped[n] / m
             node_mapped[n] = vec4(mask[0] * q[0], mask[1] * q[1], mask[2] * q[2], zero)
 
     return SimpleNamespace(

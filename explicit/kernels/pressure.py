@@ -34,6 +34,13 @@ def pressure_kernels(real):
         j = int(wp.floor(x[1] * setup.inv_cell))
         return pencils.base[i - pencils.i0, j - pencils.j0] + int(wp.floor(x[2] * setup.inv_cell))
 
+    @wp.func(module=name)
+    def is_open(opening: wp.array(dtype=real), p: int):
+        """Open points bear no pressure: lent some, they would close without moving."""
+        if opening.shape[0] == 0:
+            return False
+        return opening[p] > zero
+
     @wp.kernel(module=name)
     def gather_cell_pressure(
         setup: Setup,
@@ -42,12 +49,15 @@ def pressure_kernels(real):
         x: wp.array(dtype=vec3),
         sigma: wp.array(dtype=vec6),
         volume: wp.array(dtype=real),
+        opening: wp.array(dtype=real),
         cell_mean: wp.array(dtype=vec2),
     ):
         """Volume and volume-weighted mean stress of each cell (indexed by its lowest node)."""
         if clock[DT] == float64(0.0):
             return
         p = wp.tid()
+        if is_open(opening, p):
+            return
         n = cell_index(setup, pencils, x[p])
         s = sigma[p]
         vol = volume[p]
@@ -60,12 +70,15 @@ def pressure_kernels(real):
         clock: wp.array(dtype=float64),
         x: wp.array(dtype=vec3),
         sigma: wp.array(dtype=vec6),
+        opening: wp.array(dtype=real),
         cell_mean: wp.array(dtype=vec2),
     ):
         """Each point takes its cell's mean stress; the deviator stays its own."""
         if clock[DT] == float64(0.0):
             return
         p = wp.tid()
+        if is_open(opening, p):
+            return
         n = cell_index(setup, pencils, x[p])
         s = sigma[p]
         shift = cell_mean[n][1] / cell_mean[n][0] - (s[0] + s[1] + s[2]) / three

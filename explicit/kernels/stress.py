@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.layout import DT, WORK_PLASTIC, layout
+from explicit.kernels.layout import DT, INVERTED, WORK_PLASTIC, layout
 from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
 
@@ -53,6 +53,7 @@ def stress_kernels(real):
         eps_p_eqv: wp.array(dtype=real),
         opening: wp.array(dtype=real),
         ledger: wp.array2d(dtype=float64),
+        fault: wp.array(dtype=wp.int32),
     ):
         """Strain increment from the mapped velocity, objective trial stress, return map; then the point moves."""
         dt = real(clock[DT])
@@ -84,9 +85,10 @@ def stress_kernels(real):
         ly = dt * ly
         lz = dt * lz
         # columns lx, ly, lz of dL = dt grad v
-        volume[p] = volume[p] * wp.determinant(
-            mat33(one + lx[0], ly[0], lz[0], lx[1], one + ly[1], lz[1], lx[2], ly[2], one + lz[2])
-        )
+        stretch = wp.determinant(mat33(one + lx[0], ly[0], lz[0], lx[1], one + ly[1], lz[1], lx[2], ly[2], one + lz[2]))
+        volume[p] = volume[p] * stretch
+        if stretch <= zero:
+            wp.atomic_max(fault, INVERTED, p + 1)
         spin = half * vec3(ly[2] - lz[1], lz[0] - lx[2], lx[1] - ly[0])
         s = rotate(sigma[p], spin)
         dilation = lx[0] + ly[1] + lz[2]

@@ -83,3 +83,22 @@ def test_elastic_column_at_rest_stops_by_itself(tmp_path):
     summary = run(load_scene("self_weight", ["grid.cell=0.25", "explicit.damping=0.4"]), tmp_path)
     assert summary["stop_reason"] == "rest"
     assert summary["grid_ke_ratio"] < 1e-4 and summary["mass_error"] < 1e-13
+
+
+def test_rest_does_not_depend_on_how_often_history_is_written(tmp_path):
+    ends = []
+    for every in ("0.02", "0.2", "0.6"):
+        settings = ["grid.cell=0.25", "explicit.damping=0.4", f"output.history_every={every}"]
+        ends.append(run(load_scene("self_weight", settings), tmp_path / every))
+    assert [end["stop_reason"] for end in ends] == ["rest"] * 3
+    assert ends[0]["sim_time"] == pytest.approx(ends[2]["sim_time"], abs=0.1)
+
+
+def test_rest_is_no_turning_point_of_a_swing(tmp_path):
+    """Grid kinetic energy stays under its bound for sqrt(h0/g) before a lightly damped block counts as at rest."""
+    summary = run(load_scene("self_weight", ["output.history_every=0.01"]), tmp_path)
+    history = Results.open(tmp_path).history()
+    assert summary["stop_reason"] == "rest"
+    last = history["time"] >= summary["sim_time"] - np.sqrt(2.0 / 9.81)
+    assert last.sum() > 40
+    assert history["KE_grid"][last].max() < 1e-4 * history["KE_grid"].max()

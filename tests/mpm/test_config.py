@@ -139,7 +139,7 @@ REFUSED = [
     (COLUMN, "material.density=true", ["material.density = True", "must be a number > 0", "[kg/m3]"]),
     (COLUMN, 'material.density="2000"', ["material.density = '2000'", "must be a number"]),
     (COLUMN, "material.density=[2000]", ["material.density = [2000]", "must be a number"]),
-    (COLUMN, "output.every=1979-05-27", ["output.every = ", "must be a number > 0", "[s]"]),
+    (COLUMN, "output.every=1979-05-27", ["output.every = ", "must be a number >= 1e-06", "[s]"]),
     (COLUMN, "output.vtk=1", ["output.vtk = 1", "boolean"]),
     (COLUMN, "grid=3", ["grid = 3", "must be a section", "[grid]"]),
     (COLUMN, "geometry=3", ["geometry = 3", "must be a section", "[geometry]"]),

@@ -158,6 +158,29 @@ def test_what_opened_at_the_apex_closes_before_pressure_returns():
     assert mean == pytest.approx(-p0, rel=1e-9)
 
 
+def test_a_cohesive_gap_closes_without_tension():
+    """c > 0: unloading from the apex is elastic, the gap closes at zero stress, and no work is handed back."""
+    constants = material(cohesion=1e3)
+    apex = constants.xi / constants.eta
+    mean, opening, stresses, works = 0.0, 0.0, [], []
+    for increment in [1e-4] * 50 + [-1e-4] * 60:
+        mean, _, _, work, opening = (a[0] for a in return_map(mean + BULK * increment, 0.0, constants, opening))
+        stresses.append(mean)
+        works.append(work)
+    assert max(stresses) == pytest.approx(apex, rel=1e-12)
+    assert np.all(np.array(works) >= 0.0) and sum(works) > 0.0
+    closing = np.array(stresses[51:])
+    assert np.all(np.diff(closing) <= 1e-9) and np.sum(closing == 0.0) > 40
+    # all 5e-3 of extension are taken back, then 1e-3 of compression remain, as in an elastic material
+    assert opening == 0.0 and mean == pytest.approx(-BULK * 1e-3, rel=1e-6)
+
+
+def test_dilatancy_builds_no_pressure_while_open():
+    mean, root, _, _, opening = return_map([-1.0], [1e4], material(psi=10.0), opening=1e-3)
+    assert mean[0] == 0.0 and root[0] == pytest.approx(0.0, abs=1e-9)
+    assert opening[0] == pytest.approx(1e-3 - 1.0 / BULK, rel=1e-12)
+
+
 def test_without_friction_the_cone_is_a_cylinder():
     """phi = 0: strength c whatever the pressure (Tresca's radius in plane strain), no apex."""
     constants = material(phi=0.0, cohesion=5e3, cone="plane_strain")
