@@ -133,7 +133,7 @@ class Output(Section):
     every: float = quantity("s", "simulated time between snapshots (and checkpoints)", 0.1, ge=1e-6)
     history_every: float | None = quantity(
         "s",
-        "simulated time between history rows; default, and at most until rest, sqrt(height/gravity)/20",
+        "time between history rows; default, and at most until rest, sqrt(height/gravity)/20",
         None,
         ge=1e-6,
     )
