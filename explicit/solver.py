@@ -14,6 +14,7 @@ from explicit.kernels import step_kernels
 from explicit.kernels.pencils import MARGIN
 from explicit.pencils import PencilGrid
 from mpm.errors import NumericalError, StepRefused
+from mpm.gimp import NODES_PER_AXIS
 from mpm.scene import Body
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
@@ -40,6 +41,7 @@ class ExplicitSolver:
         self.k = step_kernels(self.real)
         self.points = len(body.x)
         self.averaging = settings.pressure_averaging
+        self._target = 0.0
         self._pack(body)
         self.grid = PencilGrid(self.real, body.scene.grid.cell, self.device)
         self._allocate_points(body)
@@ -64,7 +66,7 @@ class ExplicitSolver:
         setup.cfl, setup.fixed_dt = settings.cfl, settings.time_step or 0.0
         setup.wave, setup.gravity = body.constants.p_wave_speed, scene.loads.gravity
         setup.ramp, setup.margin = scene.loads.ramp, MARGIN * scene.grid.cell
-        setup.stencil = 3
+        setup.stencil = NODES_PER_AXIS
         walls = k.Walls()
         for name in ("low", "high", "low_kind", "high_kind"):
             setattr(walls, name, wp.vec3i(*getattr(body.walls, name)))
@@ -82,6 +84,8 @@ class ExplicitSolver:
         self.opening = self._zeros(n if constants.plastic and constants.apex_memory else 0, self.real)
 
     def _allocate_nodes(self):
+        """Node arrays, reused within a step: `node_momentum` holds (m, m v), from the grid update on (m, v_new);
+        `node_force` the force, then the velocity increment dt a; `node_mapped` the second mapping's m v, then v."""
         nodes, k = self.grid.capacity, self.k
         self.node_momentum = self._zeros(nodes, k.vec4)
         self.node_force = self._zeros(nodes, k.vec4)
