@@ -1,0 +1,25 @@
+"""The CUDA kernels compile for real GPU architectures, which Warp's NVRTC does on machines without a GPU too."""
+
+import pytest
+import warp as wp
+
+from explicit.kernels import step_kernels
+from explicit.kernels.pencils import pencil_kernels
+from mpm.devices import start_warp
+
+start_warp()
+
+
+@pytest.mark.parametrize("real", [wp.float32, wp.float64])
+def test_kernels_compile_for_cuda(real, tmp_path):
+    kernels = {**vars(step_kernels(real)), **vars(pencil_kernels(real))}
+    names = [name for name, kernel in kernels.items() if isinstance(kernel, wp.Kernel)]
+    assert {"p2g", "g2p2g", "update_stress", "begin_step", "widen_spans"} <= set(names)
+    # PTX, not machine code, so that the names of the entry points can be read.
+    module = wp.get_module(f"repose_{real.__name__}")
+    wp.compile_aot_module(module, arch=80, module_dir=tmp_path, use_ptx=True)
+    (ptx,) = tmp_path.glob("*.ptx")
+    text = ptx.read_text()
+    for name in names:
+        assert f"{name}_" in text, name
+    assert text.count(".visible .entry") >= len(names)
