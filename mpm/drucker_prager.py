@@ -67,7 +67,9 @@ def cone_strength(cohesion: float, angle_deg: float, cone: str) -> float:
 
 @functools.cache
 def drucker_prager(real):
-    """Return `Material` (a Warp struct) and `return_map` (a Warp function) for `real`.
+    """Return `Material` (a Warp struct), `second_invariant` and `return_map` (Warp functions) for `real`.
+
+    `second_invariant(s)` is J2 of a deviator `s` (vec6: xx, yy, zz, yz, xz, xy) [Pa2].
 
     `return_map(sigma_m, root_j2, opening, material)` takes the trial invariants [Pa] and the volume strain [-] by
     which the material has opened at the apex, and gives (sigma_m, scale, opening, d_eps, work): the returned mean
@@ -81,7 +83,8 @@ def drucker_prager(real):
     """
     name = f"repose_{real.__name__}"
     zero, one, three, nine = (wp.constant(real(value)) for value in (0.0, 1.0, 3.0, 9.0))
-    two = wp.constant(real(2.0))
+    two, half = wp.constant(real(2.0)), wp.constant(real(0.5))
+    vec6 = wp.types.vector(6, real)
 
     @wp.struct
     class Material:
@@ -92,6 +95,10 @@ def drucker_prager(real):
         xi: real
         plastic: int
         apex_memory: int
+
+    @wp.func(module=name)
+    def second_invariant(s: vec6):
+        return half * (s[0] * s[0] + s[1] * s[1] + s[2] * s[2]) + s[3] * s[3] + s[4] * s[4] + s[5] * s[5]
 
     @wp.func(module=name)
     def return_map(sigma_m: real, root_j2: real, opening: real, material: Material):
@@ -138,4 +145,4 @@ def drucker_prager(real):
         material.apex_memory = int(constants.plastic and constants.apex_memory)
         return material
 
-    return SimpleNamespace(Material=Material, return_map=return_map, pack=pack)
+    return SimpleNamespace(Material=Material, second_invariant=second_invariant, return_map=return_map, pack=pack)

@@ -24,8 +24,9 @@ def gimp(real):
     """Return the basis as Warp functions for `real` (wp.float32 or wp.float64).
 
     Members: `base(x, inv_h)` -> int, first node of the stencil on one axis;
-    `weights(x, inv_h, base)` -> (S, dS): vec3 of weights [-] and vec3 of slopes [1/m] of nodes base..base+2.
-    `x` is a coordinate [m] measured from the lattice's origin, `inv_h` = 1/h [1/m].
+    `weights(x, inv_h, base)` -> (S, dS): vec3 of weights [-] and vec3 of slopes [1/m] of nodes base..base+2;
+    `stencil(x, inv_h)` -> (i, j, k, Sx, Sy, Sz, dSx, dSy, dSz): both for a point, axis by axis.
+    `x` is a coordinate or position [m] measured from the lattice's origin, `inv_h` = 1/h [1/m].
     """
     vec3 = wp.types.vector(3, real)
     half_length = wp.constant(real(HALF_LENGTH_IN_CELLS))
@@ -52,4 +53,14 @@ def gimp(real):
         ds = vec3(-f0 * inv_h, (f0 - f1) * inv_h, f1 * inv_h)
         return s, ds
 
-    return SimpleNamespace(base=base, weights=weights)
+    @wp.func(module=name)
+    def stencil(x: vec3, inv_h: real):
+        i = base(x[0], inv_h)
+        j = base(x[1], inv_h)
+        k = base(x[2], inv_h)
+        sx, dx = weights(x[0], inv_h, i)
+        sy, dy = weights(x[1], inv_h, j)
+        sz, dz = weights(x[2], inv_h, k)
+        return i, j, k, sx, sy, sz, dx, dy, dz
+
+    return SimpleNamespace(base=base, weights=weights, stencil=stencil)

@@ -19,8 +19,9 @@ def energy_kernels(real):
     vec6 = types.vec6
     Setup = types.Setup
     float64 = wp.float64
-    Material = drucker_prager(real).Material
-    half, three = wp.constant(real(0.5)), wp.constant(real(3.0))
+    law = drucker_prager(real)
+    Material, second_invariant = law.Material, law.second_invariant
+    zero, one, half, three = (wp.constant(real(value)) for value in (0.0, 1.0, 0.5, 3.0))
 
     @wp.kernel(module=name)
     def point_energy(
@@ -35,12 +36,7 @@ def energy_kernels(real):
         p = wp.tid()
         s = sigma[p]
         mean = (s[0] + s[1] + s[2]) / three
-        j2 = (
-            half * ((s[0] - mean) * (s[0] - mean) + (s[1] - mean) * (s[1] - mean) + (s[2] - mean) * (s[2] - mean))
-            + s[3] * s[3]
-            + s[4] * s[4]
-            + s[5] * s[5]
-        )
+        j2 = second_invariant(s - mean * vec6(one, one, one, zero, zero, zero))
         elastic = half * (mean * mean / material.bulk + j2 / material.shear) * volume[p]
         wp.atomic_add(energy, KE_POINTS, p % energy.shape[1], float64(half * setup.mass * wp.dot(v[p], v[p])))
         wp.atomic_add(energy, E_ELASTIC, p % energy.shape[1], float64(elastic))

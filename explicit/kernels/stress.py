@@ -22,8 +22,8 @@ def stress_kernels(real):
     Pencils = types.Pencils
     Setup = types.Setup
     float64 = wp.float64
-    basis, law = gimp(real), drucker_prager(real)
-    base_node, weights, return_map = basis.base, basis.weights, law.return_map
+    stencil, law = gimp(real).stencil, drucker_prager(real)
+    return_map, second_invariant = law.return_map, law.second_invariant
     Material = law.Material
     zero, one, two, half, three = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 3.0))
 
@@ -61,12 +61,7 @@ def stress_kernels(real):
             return
         p = wp.tid()
         xp = x[p]
-        i = base_node(xp[0], setup.inv_cell)
-        j = base_node(xp[1], setup.inv_cell)
-        k = base_node(xp[2], setup.inv_cell)
-        sx, dx = weights(xp[0], setup.inv_cell, i)
-        sy, dy = weights(xp[1], setup.inv_cell, j)
-        sz, dz = weights(xp[2], setup.inv_cell, k)
+        i, j, k, sx, sy, sz, dx, dy, dz = stencil(xp, setup.inv_cell)
         lx = vec4(zero, zero, zero, zero)
         ly = vec4(zero, zero, zero, zero)
         lz = vec4(zero, zero, zero, zero)
@@ -104,12 +99,7 @@ def stress_kernels(real):
             s[4] + material.shear * (lx[2] + lz[0]),
             s[5] + material.shear * (lx[1] + ly[0]),
         )
-        j2 = (
-            half * (deviator[0] * deviator[0] + deviator[1] * deviator[1] + deviator[2] * deviator[2])
-            + deviator[3] * deviator[3]
-            + deviator[4] * deviator[4]
-            + deviator[5] * deviator[5]
-        )
+        j2 = second_invariant(deviator)
         open_old = zero
         if material.apex_memory > 0:
             open_old = opening[p]

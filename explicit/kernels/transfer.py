@@ -20,8 +20,7 @@ def transfer_kernels(real):
     Pencils = types.Pencils
     Setup = types.Setup
     float64 = wp.float64
-    basis = gimp(real)
-    base_node, weights = basis.base, basis.weights
+    stencil = gimp(real).stencil
     zero, half = wp.constant(real(0.0)), wp.constant(real(0.5))
 
     @wp.kernel(module=name)
@@ -40,12 +39,7 @@ def transfer_kernels(real):
             return
         p = wp.tid()
         xp = x[p]
-        i = base_node(xp[0], setup.inv_cell)
-        j = base_node(xp[1], setup.inv_cell)
-        k = base_node(xp[2], setup.inv_cell)
-        sx, dx = weights(xp[0], setup.inv_cell, i)
-        sy, dy = weights(xp[1], setup.inv_cell, j)
-        sz, dz = weights(xp[2], setup.inv_cell, k)
+        i, j, k, sx, sy, sz, dx, dy, dz = stencil(xp, setup.inv_cell)
         m = setup.mass
         vp = v[p]
         carried = vec4(m, m * vp[0], m * vp[1], m * vp[2])
@@ -84,12 +78,7 @@ def transfer_kernels(real):
             return
         p = wp.tid()
         xp = x[p]
-        i = base_node(xp[0], setup.inv_cell)
-        j = base_node(xp[1], setup.inv_cell)
-        k = base_node(xp[2], setup.inv_cell)
-        sx, _dx = weights(xp[0], setup.inv_cell, i)
-        sy, _dy = weights(xp[1], setup.inv_cell, j)
-        sz, _dz = weights(xp[2], setup.inv_cell, k)
+        i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(xp, setup.inv_cell)
         moved = vec4(zero, zero, zero, zero)
         gained = vec4(zero, zero, zero, zero)
         for a in range(setup.stencil):
