@@ -133,7 +133,7 @@ class Output(Section):
     every: float = quantity("s", "simulated time between snapshots (and checkpoints)", 0.1, ge=1e-6)
     history_every: float | None = quantity(
         "s",
-        "time between history rows; default, and at most until rest, sqrt(height/gravity)/20",
+        "time between history rows; default sqrt(height/gravity)/20, also the most until rest",
         None,
         ge=1e-6,
     )

@@ -33,7 +33,8 @@ def test_cylinder_from_a_mesh_runs_out_like_the_column():
 
 
 def test_cone_at_repose_hardly_spreads():
-    start, end = runouts_at(load_scene(str(MESHES / "cone.toml")), 1.0)
-    assert abs(end["R_995"] - start["R_995"]) < 0.02
-    column = runouts_at(load_scene("column_small"), 1.0)[1]
-    assert column["R_995"] > 0.2  # the same volume as a column does spread
+    """The same volume as a column moves its front ten times as far."""
+    cone = [end["R_995"] for end in runouts_at(load_scene(str(MESHES / "cone.toml")), 1.0)]
+    column = [end["R_995"] for end in runouts_at(load_scene("column_small"), 1.0)]
+    assert abs(cone[1] - cone[0]) < 0.02
+    assert column[1] - column[0] > 10 * abs(cone[1] - cone[0])
