@@ -5,6 +5,7 @@ python benchmarks/paper_table.py benchmarks/results/paper_runs_cpu.csv
 
 import csv
 import sys
+from pathlib import Path
 
 from compare.experiments import measured_runout
 from mpm.analytic import eq6
@@ -26,7 +27,7 @@ def cells(row):
 
 
 def main():
-    rows = [row for path in sys.argv[1:] for row in csv.DictReader(open(path, newline=""))]
+    rows = [row for path in sys.argv[1:] for row in csv.DictReader(Path(path).read_text().splitlines())]
     rows.sort(key=lambda r: (float(r["lambda0"]), r["apex_memory"] != "true", r["pressure_averaging"], r["cone"],
                              float(r["damping"])))  # fmt: skip
     print("| " + " | ".join(HEADINGS) + " |\n" + "|---" * len(HEADINGS) + "|")

@@ -6,6 +6,7 @@ both pressure treatments are in benchmarks/results/.
 
 import pytest
 
+from compare.experiments import measured_runout
 from explicit.run import run
 from mpm.config import load_scene
 from mpm.scene import theory
@@ -34,11 +35,23 @@ def test_heavy_damping_meets_the_quasistatic_theory(tmp_path, aspect):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("aspect", "low", "high"), [("0.5", 0.70, 0.95), ("1", 1.25, 1.70)])
-def test_light_damping_meets_the_experiments(tmp_path, aspect, low, high):
+@pytest.mark.parametrize(
+    ("aspect", "memory", "low", "high"),
+    [("0.5", "false", 0.70, 0.95), ("1", "false", 1.25, 1.70), ("1", "true", 1.25, 1.70)],
+)
+def test_light_damping_meets_the_experiments(tmp_path, aspect, memory, low, high):
     """Bounds round Eq. 6 with prefactor and exponent exchanged: 0.84 and 1.30 for the farthest point."""
-    end = finish(tmp_path, f"column_{aspect}", "explicit.damping=0.05")
+    settings = ("explicit.damping=0.05", f"material.apex_memory={memory}")
+    end = finish(tmp_path, f"column_{aspect}", *settings)
     assert low < end["R_max"] < high
+
+
+@pytest.mark.slow
+def test_light_damping_meets_the_neighbouring_experiments_of_a_low_column(tmp_path):
+    """With apex memory the lambda0 = 0.5 column ends below Eq. 6, which overshoots the low columns themselves:
+    measured 0.495 at 0.285 and 0.845 at 0.751, so 0.656 between them, where the power law gives 0.840."""
+    end = finish(tmp_path, "column_0.5", "explicit.damping=0.05")
+    assert end["R_max"] == pytest.approx(measured_runout(0.5), rel=0.06)
 
 
 @pytest.mark.slow
