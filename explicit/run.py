@@ -11,6 +11,7 @@ from explicit.solver import ExplicitSolver
 from mpm.config import Scene, parse_scene
 from mpm.devices import find_device
 from mpm.errors import NumericalError, SceneError, StepRefused
+from mpm.geometry import Seeds
 from mpm.provenance import peak_memory_mb, provenance
 from mpm.results import Results
 from mpm.runout import front, run_out
@@ -40,7 +41,6 @@ def run(scene: Scene, directory, device="cpu", force=False, monitor=None) -> dic
     body = build(scene)
     described = provenance(device, scene.explicit.precision)
     results = Results.create(directory, scene.model_dump(mode="json"), {**described, "mode": "explicit"}, force)
-    results.write_static("x0", body.x)
     this = ExplicitRun(body, results, place)
     this.begin()
     return this.go(started, monitor)
@@ -59,7 +59,8 @@ def resume(directory, device=None, monitor=None) -> dict:
     if (ended := results.summary()) is not None:
         raise SceneError(f"{directory}: this run ended at t = {ended['sim_time']:.4g} s ({ended['stop_reason']})")
     place = find_device(device or str(results.provenance["device"]))
-    this = ExplicitRun(build(parse_scene(results.scene)), results, place)
+    seeds = Seeds(results.read_static("x0"), *results.read_static("extent"))
+    this = ExplicitRun(build(parse_scene(results.scene), seeds), results, place)
     this.restore(results.read_checkpoint())
     return this.go(started, monitor)
 
@@ -88,7 +89,9 @@ class ExplicitRun:
         self.stop_reason = None
 
     def begin(self):
-        """First history row, snapshot and checkpoint, before any step."""
+        """The body's initial shape, first history row, snapshot and checkpoint, before any step."""
+        self.results.write_static("x0", self.body.x)
+        self.results.write_static("extent", np.array([self.body.measure.reference, self.body.height]))
         self.e0 = self._kinetic_and_elastic(self.solver.energies())
         self._write_row()
         self._write_snapshot()

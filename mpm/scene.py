@@ -7,7 +7,7 @@ import numpy as np
 from mpm.analytic import eq4, eq45
 from mpm.config import Box, Column, Scene
 from mpm.drucker_prager import Constants
-from mpm.geometry import seed
+from mpm.geometry import Seeds, seed
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 from mpm.lattice import Walls, walls_of
 from mpm.runout import Measure
@@ -33,10 +33,13 @@ class Body:
         return float(np.sqrt(self.height / gravity)) if gravity > 0 else float("inf")
 
 
-def build(scene: Scene) -> Body:
-    """Seed the points of a scene. Raises SceneError for geometry that cannot be seeded."""
+def build(scene: Scene, seeds: Seeds | None = None) -> Body:
+    """Seed the points of a scene, or take `seeds` kept from an earlier time (a mesh file may be gone by then).
+
+    Raises SceneError for geometry that cannot be seeded.
+    """
     cell = scene.grid.cell
-    seeds = seed(scene.geometry, cell)
+    seeds = seeds or seed(scene.geometry, cell)
     axes = (0,) if isinstance(scene.geometry, Box) else (0, 1)
     measure = Measure(axes, seeds.reference, HALF_LENGTH_IN_CELLS * cell, cell)
     constants = scene.material.constants()

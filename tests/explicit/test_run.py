@@ -1,5 +1,7 @@
 """How a run ends: divergence keeps the last good checkpoint, a finished run is not run on."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -18,7 +20,6 @@ def started(directory, *settings):
     place = {"device": "cpu", "device_name": "-"}
     results = Results.create(directory, scene.model_dump(mode="json"), place)
     body = build(scene)
-    results.write_static("x0", body.x)
     part = ExplicitRun(body, results, find_device("cpu"))
     part.begin()
     return part
@@ -102,3 +103,13 @@ def test_rest_is_no_turning_point_of_a_swing(tmp_path):
     last = history["time"] >= summary["sim_time"] - np.sqrt(2.0 / 9.81)
     assert last.sum() > 40
     assert history["KE_grid"][last].max() < 1e-4 * history["KE_grid"].max()
+
+
+def test_a_mesh_run_resumes_without_its_mesh_file(tmp_path):
+    mesh = tmp_path / "body.stl"
+    mesh.write_bytes((Path(__file__).parents[2] / "meshes" / "cylinder.stl").read_bytes())
+    shape = f"geometry={{shape='mesh', file='{mesh}', symmetry='quarter'}}"
+    part = started(tmp_path / "run", shape)
+    steps_until(part, 0.15)
+    mesh.unlink()
+    assert resume(tmp_path / "run")["sim_time"] == pytest.approx(0.3)

@@ -50,7 +50,6 @@ def test_restart_is_bitwise_equal_to_an_uninterrupted_run(tmp_path):
 
     body = build(scene)
     results = Results.create(tmp_path / "cut", scene.model_dump(mode="json"), {"device": "cpu", "device_name": "-"})
-    results.write_static("x0", body.x)
     part = ExplicitRun(body, results, find_device("cpu"))
     part.begin()
     for _ in range(9):
