@@ -97,3 +97,20 @@ def test_float32_collapse_follows_float64(solver_of, run_to):
         list(run_to(solver, 1.0))
         runouts.append(front(solver.x.numpy(), solver.body.measure)["R_995"])
     assert runouts[1] == pytest.approx(runouts[0], rel=0.01)
+
+
+def test_apex_memory_keeps_the_volume_of_an_undilatant_column(solver_of, run_to):
+    """psi = 0: what volume strain neither elasticity nor an opening explains is gained by the law itself.
+
+    Mean over the points of ln(V/V0) - sigma_m/K - opening: 6 % without the memory, 0.01 % with it.
+    """
+    gains = {}
+    for memory in ("true", "false"):
+        solver = solver_of("column_small", f"material.apex_memory={memory}")
+        list(run_to(solver, 1.5))
+        strain = np.log(solver.volume.numpy() / solver.body.point_volume)
+        elastic = solver.sigma.numpy()[:, :3].mean(axis=1) / solver.body.constants.bulk
+        opening = solver.opening.numpy() if memory == "true" else 0.0
+        gains[memory] = np.mean(strain - elastic - opening)
+    assert abs(gains["true"]) < 1e-3
+    assert gains["false"] > 0.04
