@@ -111,10 +111,8 @@ def scenes():
 @app.command()
 def info():
     """Versions, devices, what is missing and how to get it."""
-    from mpm.devices import start_warp
     from mpm.provenance import PROJECT, git_commit, installed, warp_devices
 
-    start_warp()  # quietly
     table = Table(box=None, padding=(0, 2))
     for heading in ("package", "version", "needed for"):
         table.add_column(heading)

@@ -198,13 +198,12 @@ class ExplicitRun:
     def _write_snapshot(self):
         wanted = self.body.scene.output.fields
         x = self.solver.x.numpy()
-        sigma = self.solver.sigma.numpy()
         fields = {"x": x}
         makers = {
             "displacement": lambda: x - self.body.x,
             "velocity": self.solver.v.numpy,
-            "stress": lambda: sigma,
-            "pressure": lambda: -sigma[:, :3].mean(axis=1),
+            "stress": self.solver.sigma.numpy,
+            "pressure": lambda: -self.solver.sigma.numpy()[:, :3].mean(axis=1),
             "volume": self.solver.volume.numpy,
         }
         if self.body.constants.plastic:
@@ -250,7 +249,7 @@ class ExplicitRun:
             "stop_reason": self.stop_reason,
             **run_out(solver.x.numpy(), self.body.measure),
             "mass_error": abs(solver.grid_mass() / total - 1.0),
-            "grid_ke_ratio": solver.energies()["KE_grid"] / self.peak_ke if self.peak_ke else 0.0,
+            "grid_ke_ratio": self.last_row["KE_grid"] / self.peak_ke if self.peak_ke else 0.0,
             "peak_memory_mb": self.memory_mb(),
             "point_steps_per_s": solver.points * solver.steps / wall,
             **theory(scene),

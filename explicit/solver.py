@@ -109,9 +109,13 @@ class ExplicitSolver:
     @property
     def time_step(self) -> float:
         """Length [s] of the next step: the fixed one, or CFL with the points' present speed."""
+        return self.setup.fixed_dt or self.setup.cfl * self.courant_limit
+
+    @property
+    def courant_limit(self) -> float:
+        """h/(c + |v|) [s] with the points' present speed along the fastest axis."""
         fastest = float(np.max(self.speed.numpy()[: K.CARRIED]))
-        adaptive = self.setup.cfl * self.body.scene.grid.cell / (self.setup.wave + fastest)
-        return self.setup.fixed_dt or adaptive
+        return self.body.scene.grid.cell / (self.setup.wave + fastest)
 
     @property
     def bytes_per_point(self) -> int:
@@ -227,10 +231,9 @@ class ExplicitSolver:
                 raise NumericalError(
                     f"diverged {where}, point {point}: {what} (x = {x} m, v = {v} m/s, dt = {self.time_step:.3g} s)"
                 )
-        limit = self.body.scene.grid.cell / (self.setup.wave + float(np.max(self.speed.numpy()[: K.CARRIED])))
         raise StepRefused(
             f"time step over the Courant limit {where}: explicit.time_step = {self.setup.fixed_dt:.4g} s "
-            f"must be below h/(c + |v|) = {limit:.4g} s; lower it, or leave it out for the adaptive step"
+            f"must be below h/(c + |v|) = {self.courant_limit:.4g} s; lower it, or leave it out for the adaptive step"
         )
 
     def energies(self) -> dict[str, float]:

@@ -22,10 +22,11 @@ def _stderr_hidden():
 
 
 def start_warp():
-    """Initialise Warp without its banner, compile messages or the remark that a laptop has no GPU."""
+    """Initialise Warp, and return it, without its banner, compile messages or the remark that there is no GPU."""
     wp.config.log_level = wp.LOG_ERROR
     with _stderr_hidden():
         wp.init()
+    return wp
 
 
 def find_device(name: str):

@@ -75,7 +75,7 @@ def installed() -> list[Package]:
     pip, apt = "./repose installs it", DOLFINX_APT
     uses = [  # module, distribution, needed for, how to get it
         ("numpy", "numpy", "everything", pip),
-        ("scipy", "scipy", "comparisons", pip),
+        ("scipy", "scipy", "run-out measures, pictures", pip),
         ("pydantic", "pydantic", "scene files", pip),
         ("h5py", "h5py", "results", pip),
         ("meshio", "meshio", "mesh files, ParaView files", pip),
@@ -122,7 +122,6 @@ def _version(distribution: str) -> str:
 
 
 def _warp():
-    import warp  # here and not above: it takes most of a second, and the implicit solver does without
+    from mpm.devices import start_warp  # here and not above: importing Warp takes most of a second
 
-    warp.config.log_level = max(warp.config.log_level, warp.LOG_WARNING)  # its greeting goes to stdout
-    return warp
+    return start_warp()

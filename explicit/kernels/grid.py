@@ -97,7 +97,7 @@ def grid_kernels(real):
                 size = setup.damping * wp.length(f)
                 for axis in range(3):
                     if wp.abs(v[axis]) > setup.still:
-                        damped[axis] = size * wp.sign(v[axis]) * mask[axis]
+                        damped[axis] = size * wp.sign(v[axis])  # held components are still
             dv = dt * ((f - damped) / m)
             v_new = v + dv
             node_momentum[n] = vec4(m, v_new[0], v_new[1], v_new[2])

@@ -87,10 +87,10 @@ def stress_kernels(real):
         spin = half * vec3(ly[2] - lz[1], lz[0] - lx[2], lx[1] - ly[0])
         s = rotate(sigma[p], spin)
         dilation = lx[0] + ly[1] + lz[2]
-        mean_trial = (s[0] + s[1] + s[2]) / three + material.bulk * dilation
         g2 = two * material.shear
         third = dilation / three
         old_mean = (s[0] + s[1] + s[2]) / three
+        mean_trial = old_mean + material.bulk * dilation
         deviator = vec6(
             s[0] - old_mean + g2 * (lx[0] - third),
             s[1] - old_mean + g2 * (ly[1] - third),

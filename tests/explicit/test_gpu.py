@@ -18,21 +18,14 @@ pytestmark = [
 ]
 
 
-def collapsed(device, precision, time, *overrides):
-    scene = load_scene("column_1", ["grid.cell=0.125", f"explicit.precision={precision}", *overrides])
-    solver = ExplicitSolver(build(scene), device)
-    solver.aim(time)
-    while solver.time < time:
-        solver.advance(time)
-    return solver
-
-
 @pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 2e-4)])
 @pytest.mark.parametrize("averaging", ["false", "true"])
-def test_gpu_follows_the_cpu(precision, tolerance, averaging):
+def test_gpu_follows_the_cpu(solver_of, run_to, precision, tolerance, averaging):
     """Positions after 0.15 s: before yielding makes the motion chaotic, only the order of sums differs."""
-    setting = f"explicit.pressure_averaging={averaging}"
-    solvers = [collapsed(device, precision, 0.15, setting) for device in ("cpu", "cuda:0")]
+    settings = ("grid.cell=0.125", f"explicit.precision={precision}", f"explicit.pressure_averaging={averaging}")
+    solvers = [solver_of("column_1", *settings, device=device) for device in ("cpu", "cuda:0")]
+    for solver in solvers:
+        list(run_to(solver, 0.15))
     assert solvers[0].steps == solvers[1].steps
     assert np.abs(solvers[0].x.numpy() - solvers[1].x.numpy()).max() < tolerance
     energies = [solver.energies() for solver in solvers]

@@ -1,4 +1,4 @@
-"""What the physics tests share: a solver built from a preset with overrides, and run to a time."""
+"""What tests share: a solver built from a scene with overrides, and run to a time."""
 
 import pytest
 
@@ -10,11 +10,11 @@ from mpm.scene import build
 
 @pytest.fixture
 def solver_of():
-    """`solver_of(preset, *overrides)` -> ExplicitSolver on the CPU."""
+    """`solver_of(scene, *overrides, device="cpu")` -> ExplicitSolver; `scene` is a file or a preset's name."""
 
-    def make(preset, *overrides):
+    def make(scene, *overrides, device="cpu"):
         start_warp()
-        return ExplicitSolver(build(load_scene(preset, list(overrides))))
+        return ExplicitSolver(build(load_scene(scene, list(overrides))), device)
 
     return make
 
