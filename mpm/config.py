@@ -129,6 +129,14 @@ class Explicit(Section):
     pressure_averaging: bool = Field(False, description="replace each point's pressure by its cell's volume average")
 
 
+class Implicit(Section):
+    initial_stress: Literal["geostatic", "none"] = Field(
+        "geostatic", description="start at rest under gravity (K0), or without stress, gravity added in load_steps"
+    )
+    load_steps: int = quantity("-", "equal parts in which gravity is added when initial_stress = 'none'", 20, ge=1)
+    max_steps: int = quantity("-", "most steps of a run that never comes to rest", 1000, ge=1)
+
+
 class Output(Section):
     every: float = quantity("s", "simulated time between snapshots (and checkpoints)", 0.1, ge=1e-6)
     history_every: float | None = quantity(
@@ -152,6 +160,7 @@ class Scene(Section):
     material: Material
     loads: Loads = Loads()
     explicit: Explicit = Explicit()
+    implicit: Implicit = Implicit()
     output: Output = Output()
 
 

@@ -67,7 +67,7 @@ def cone_strength(cohesion: float, angle_deg: float, cone: str) -> float:
 
 @functools.cache
 def drucker_prager(real):
-    """Return `Material` (a Warp struct), `second_invariant` and `return_map` (Warp functions) for `real`.
+    """Return `Material` (a Warp struct), `second_invariant`, `return_map` and `return_slopes` (Warp functions).
 
     `second_invariant(s)` is J2 of a deviator `s` (vec6: xx, yy, zz, yz, xz, xy) [Pa2].
 
@@ -80,6 +80,9 @@ def drucker_prager(real):
     the apex must close, at zero pressure, before pressure builds up again. Without that memory each opening and
     closing leaves the material larger: a psi = 0 column gained 6 % of volume in 1.5 s (tests/physics/test_collapse.py),
     and crept on past Eq. 4 (benchmarks/results/paper_runs_cpu.csv).
+
+    `return_slopes` (same arguments) differentiates it: d mean/d sigma_m, d mean/d root_j2, and the same of the
+    returned sqrt(J2). The returned invariants are linear in the trial ones within each regime.
     """
     name = f"repose_{real.__name__}"
     zero, one, three, nine = (wp.constant(real(value)) for value in (0.0, 1.0, 3.0, 9.0))
@@ -101,28 +104,53 @@ def drucker_prager(real):
         return half * (s[0] * s[0] + s[1] * s[1] + s[2] * s[2]) + s[3] * s[3] + s[4] * s[4] + s[5] * s[5]
 
     @wp.func(module=name)
-    def return_map(sigma_m: real, root_j2: real, opening: real, material: Material):
+    def close(sigma_m: real, opening: real, material: Material):
+        """What is open closes first, at no pressure: mean stress and opening after that."""
         trial = sigma_m
         opened = opening
         if opening > zero and sigma_m < zero:
-            trial = wp.min(sigma_m + material.bulk * opening, zero)  # what is open closes first, at no pressure
-            opened = wp.max(opening - (trial - sigma_m) / material.bulk, zero)
+            trial = sigma_m + material.bulk * opening
+            opened = zero  # set, not computed: a rest of round-off would count as open
+            if trial > zero:
+                trial = zero
+                opened = opening + sigma_m / material.bulk
+        return trial, opened
+
+    @wp.func(module=name)
+    def multiplier(root_j2: real, trial: real, opened: real, material: Material):
+        """d_lambda of the shear return, its derivative over f, and whether the material stays open meanwhile.
+
+        Dilatancy first uses up what is open, at no pressure; where that is not enough, the rest builds pressure as
+        if the trial mean stress were K times the opening.
+        """
+        f = root_j2 + material.eta * trial - material.xi
+        per_f = one / (material.shear + material.bulk * material.eta * material.eta_bar)
+        if opened > zero and trial <= zero:
+            used_up = (f + material.eta * material.bulk * opened) * per_f
+            if material.eta_bar * used_up > opened:
+                return used_up, per_f, False
+            return f / material.shear, one / material.shear, True
+        return f * per_f, per_f, False
+
+    @wp.func(module=name)
+    def return_map(sigma_m: real, root_j2: real, opening: real, material: Material):
+        trial, opened = close(sigma_m, opening, material)
         mean = trial
         scale = one
         d_eps = zero
         work = zero
-        f = root_j2 + material.eta * trial - material.xi
-        if f > zero:
-            d_lambda = f / (material.shear + material.bulk * material.eta * material.eta_bar)
-            if opened > zero and trial <= zero:
-                d_lambda = f / material.shear  # still open: dilatancy has room and builds no pressure
-            else:
-                mean = trial - material.bulk * material.eta_bar * d_lambda
+        if root_j2 + material.eta * trial - material.xi > zero:
+            d_lambda, _per_f, _stays_open = multiplier(root_j2, trial, opened, material)
+            volume_strain = material.eta_bar * d_lambda
             root = root_j2 - material.shear * d_lambda
-            volume_strain = (trial - mean) / material.bulk
             if root >= zero:
                 scale = root / root_j2
                 d_eps = wp.sqrt(d_lambda * d_lambda / three + two * volume_strain * volume_strain / nine)
+                if opened > zero and trial <= zero:
+                    mean = wp.min(material.bulk * (opened - volume_strain), zero)
+                    opened = wp.max(opened - volume_strain, zero)
+                else:
+                    mean = trial - material.bulk * volume_strain
             else:
                 mean = material.xi / material.eta
                 scale = zero
@@ -132,6 +160,25 @@ def drucker_prager(real):
                 d_eps = wp.sqrt(shear_strain * shear_strain / three + two * volume_strain * volume_strain / nine)
             work = mean * volume_strain + scale * (one - scale) * root_j2 * root_j2 / material.shear
         return mean, scale, opened, d_eps, work
+
+    @wp.func(module=name)
+    def return_slopes(sigma_m: real, root_j2: real, opening: real, material: Material):
+        trial, opened = close(sigma_m, opening, material)
+        mean_m, mean_r, root_m, root_r = one, zero, zero, one
+        still_open = opened > zero and trial <= zero
+        if still_open:
+            mean_m = zero
+        if root_j2 + material.eta * trial - material.xi > zero:
+            d_lambda, per_f, stays_open = multiplier(root_j2, trial, opened, material)
+            softens = material.bulk * material.eta_bar * per_f
+            if root_j2 < material.shear * d_lambda:
+                mean_m, root_r = zero, zero
+            elif stays_open:
+                root_r = zero
+            else:
+                mean_m, mean_r = one - softens * material.eta, -softens
+                root_m, root_r = -material.shear * per_f * material.eta, one - material.shear * per_f
+        return mean_m, mean_r, root_m, root_r
 
     def pack(constants: Constants) -> Material:
         """Material struct for kernels from host constants."""
@@ -145,4 +192,10 @@ def drucker_prager(real):
         material.apex_memory = int(constants.plastic and constants.apex_memory)
         return material
 
-    return SimpleNamespace(Material=Material, second_invariant=second_invariant, return_map=return_map, pack=pack)
+    return SimpleNamespace(
+        Material=Material,
+        second_invariant=second_invariant,
+        return_map=return_map,
+        return_slopes=return_slopes,
+        pack=pack,
+    )

@@ -1,0 +1,114 @@
+"""Quasistatic collapses to rest by the implicit solver: run-out, effort and where the time goes, one row a run.
+
+    python benchmarks/implicit_runs.py SCENE [--set KEY=VALUE ...] [--reg NAME=VALUE ...] [--table FILE] [--max-steps N]
+
+NAME is one of `implicit.relaxation.Regularisation`. Seconds are those of one core; run nothing beside it for timing.
+"""
+
+import argparse
+import csv
+import time
+from pathlib import Path
+
+from implicit import newton
+from implicit.relaxation import Regularisation, Rest
+from implicit.solver import ImplicitSolver
+from implicit.system import System
+from mpm.config import load_scene
+from mpm.devices import start_warp
+from mpm.errors import NumericalError
+from mpm.provenance import provenance
+from mpm.runout import front, run_out
+from mpm.scene import build, theory
+
+
+def timed(owner, name, seconds):
+    """Add the time spent in a function or method to `seconds[name]`."""
+    inner = getattr(owner, name)
+
+    def outer(*arguments, **keywords):
+        start = time.perf_counter()
+        try:
+            return inner(*arguments, **keywords)
+        finally:
+            seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start
+
+    setattr(owner, name, outer)
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scene")
+    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
+    parser.add_argument("--reg", action="append", default=[], metavar="NAME=VALUE")
+    parser.add_argument("--table", type=Path, default=Path("benchmarks/results/implicit_runs_cpu.csv"))
+    parser.add_argument("--max-steps", type=int, default=1000)
+    options = parser.parse_args()
+
+    start_warp()
+    body = build(load_scene(options.scene, options.set))
+    changed = {key: float(value) for key, value in (item.split("=") for item in options.reg)}
+    solver = ImplicitSolver(body, Regularisation(**changed))
+    seconds: dict[str, float] = {}
+    for name in ("residual", "tangent"):
+        timed(System, name, seconds)
+    timed(newton, "_solve", seconds)
+
+    rest, stopped = Rest(body.time_scale), "max_steps"
+    started = time.perf_counter()
+    try:
+        while solver.steps < options.max_steps:
+            solver.advance()
+            now = front(solver.x, body.measure)
+            if solver.steps % 5 == 0:
+                print(
+                    f"{options.scene} {options.set} {options.reg}: step {solver.steps}, dt {solver.time_step:.3g}, "
+                    f"R_995 {now['R_995']:.4f}, unbalanced {solver.unbalanced_ratio:.1e}, "
+                    f"Newton {solver.newton_iterations}, failed {solver.failed_steps}, "
+                    f"{time.perf_counter() - started:.0f} s",
+                    flush=True,
+                )
+            if rest(solver.time, now["R_995"], solver.unbalanced_ratio):
+                stopped = "rest"
+                break
+    except NumericalError as error:
+        print(error)
+        stopped = "failed"
+    wall = time.perf_counter() - started
+
+    described = provenance("cpu", "float64")
+    eq4, measures = theory(body.scene)["eq4"], run_out(solver.x, body.measure)
+    assembly = seconds["residual"] + seconds["tangent"]
+    row = {
+        "scene": options.scene,
+        "set": " ".join(options.set),
+        "regularisation": " ".join(options.reg),
+        "points": solver.points,
+        "unknowns": 3 * solver.nodes_solved_max,
+        "stopped": stopped,
+        "steps": solver.steps,
+        "failed_steps": solver.failed_steps,
+        "newton_iterations": solver.newton_iterations,
+        "linear_iterations": solver.linear_iterations,
+        "unbalanced_ratio": f"{solver.unbalanced_ratio:.2e}",
+        **{key: f"{value:.4f}" for key, value in measures.items()},
+        "R_995_over_eq4": f"{measures['R_995'] / eq4 - 1:+.3f}" if eq4 else "",
+        "volume_ratio": f"{solver.state.jacobian.numpy().mean():.4f}",
+        "wall_s": f"{wall:.1f}",
+        "assembly_s": f"{assembly:.1f}",
+        "linear_s": f"{seconds['_solve'] - assembly:.1f}",
+        "device": described["device_name"],
+        "commit": described["commit"],
+    }
+    fresh = not options.table.exists()
+    options.table.parent.mkdir(parents=True, exist_ok=True)
+    with open(options.table, "a", newline="") as file:
+        writer = csv.DictWriter(file, row)
+        if fresh:
+            writer.writeheader()
+        writer.writerow(row)
+    print(row)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,154 @@
+"""Points to nodes: mass, momentum, forces and the block rows of the tangent."""
+
+import warp as wp
+
+from implicit.kernels.layout import NAME, OUTSIDE, SELF, mat33, real, vec3
+
+ZERO, ONE = wp.constant(real(0.0)), wp.constant(real(1.0))
+
+
+@wp.kernel(module=NAME)
+def p2g(
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    mass: real,
+    v: wp.array(dtype=vec3),
+    load: wp.array(dtype=vec3),
+    node_mass: wp.array(dtype=real),
+    node_momentum: wp.array(dtype=vec3),
+    node_load: wp.array(dtype=vec3),
+):
+    """Lumped mass [kg], momentum [kg m/s] and external force [N] of the nodes; `load` [N] acts on a point."""
+    p = wp.tid()
+    s, count = weight[p], reach[p]
+    vp, fp = v[p], load[p]
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                n = nodes[p, 9 * a + 3 * b + c]
+                if n != OUTSIDE:
+                    w = s[0, a] * s[1, b] * s[2, c]
+                    wp.atomic_add(node_mass, n, w * mass)
+                    wp.atomic_add(node_momentum, n, (w * mass) * vp)
+                    wp.atomic_add(node_load, n, w * fp)
+
+
+@wp.kernel(module=NAME)
+def g2p(
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    gained: wp.array(dtype=vec3),
+    keep: real,
+    v: wp.array(dtype=vec3),
+):
+    """FLIP: v_p = keep v_p + sum N gained, `gained` [m/s] what a node's velocity gained over what was kept."""
+    p = wp.tid()
+    s, count = weight[p], reach[p]
+    vp = keep * v[p]
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                n = nodes[p, 9 * a + 3 * b + c]
+                if n != OUTSIDE:
+                    vp += (s[0, a] * s[1, b] * s[2, c]) * gained[n]
+    v[p] = vp
+
+
+@wp.kernel(module=NAME)
+def internal_force(
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    slope: wp.array(dtype=mat33),
+    flux: wp.array(dtype=mat33),
+    volume: real,
+    force: wp.array(dtype=vec3),
+):
+    """Add sum V0 (tau F^-T) grad_0 N [N] to `force`."""
+    p = wp.tid()
+    s, ds, count = weight[p], slope[p], reach[p]
+    stress = volume * flux[p]
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                n = nodes[p, 9 * a + 3 * b + c]
+                if n != OUTSIDE:
+                    gradient = vec3(
+                        ds[0, a] * s[1, b] * s[2, c], s[0, a] * ds[1, b] * s[2, c], s[0, a] * s[1, b] * ds[2, c]
+                    )
+                    wp.atomic_add(force, n, stress * gradient)
+
+
+@wp.kernel(module=NAME)
+def stiffness(
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    slope: wp.array(dtype=mat33),
+    tangent: wp.array2d(dtype=mat33),
+    volume: real,
+    place: wp.array2d(dtype=wp.int32),
+    values: wp.array(dtype=mat33),
+):
+    """Add each point's 3x3 blocks; `place` (nodes, 125) says where a node's block with a neighbour is kept."""
+    p = wp.tid()
+    s, ds, count = weight[p], slope[p], reach[p]
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                row = nodes[p, 9 * a + 3 * b + c]
+                if row != OUTSIDE:
+                    ga = volume * ds[0, a] * s[1, b] * s[2, c]
+                    gb = volume * s[0, a] * ds[1, b] * s[2, c]
+                    gc = volume * s[0, a] * s[1, b] * ds[2, c]
+                    from_x = ga * tangent[p, 0] + gb * tangent[p, 3] + gc * tangent[p, 6]
+                    from_y = ga * tangent[p, 1] + gb * tangent[p, 4] + gc * tangent[p, 7]
+                    from_z = ga * tangent[p, 2] + gb * tangent[p, 5] + gc * tangent[p, 8]
+                    for d in range(count[0]):
+                        for e in range(count[1]):
+                            along_x = ds[0, d] * s[1, e]
+                            along_y = s[0, d] * ds[1, e]
+                            along_z = s[0, d] * s[1, e]
+                            at = 25 * (d - a + 2) + 5 * (e - b + 2) - c + 2
+                            for f in range(count[2]):
+                                if nodes[p, 9 * d + 3 * e + f] != OUTSIDE:
+                                    block = (
+                                        (along_x * s[2, f]) * from_x
+                                        + (along_y * s[2, f]) * from_y
+                                        + (along_z * ds[2, f]) * from_z
+                                    )
+                                    wp.atomic_add(values, place[row, at + f], block)
+
+
+@wp.kernel(module=NAME)
+def add_diagonal(
+    place: wp.array2d(dtype=wp.int32),
+    diagonal: wp.array(dtype=real),
+    values: wp.array(dtype=mat33),
+):
+    """Add diagonal[n] I [N/m] to the block of node n with itself."""
+    n = wp.tid()
+    values[place[n, SELF]] = values[place[n, SELF]] + diagonal[n] * wp.identity(3, dtype=real)
+
+
+@wp.kernel(module=NAME)
+def hold(
+    held: wp.array(dtype=vec3),
+    row: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    scale: real,
+    values: wp.array(dtype=mat33),
+):
+    """Take held components (1 in `held`) out of the system; `scale` [N/m] stands on their diagonal."""
+    e = wp.tid()
+    r, c = row[e], column[e]
+    block = values[e]
+    for i in range(3):
+        for k in range(3):
+            if held[r][i] > ZERO or held[c][k] > ZERO:
+                block[i, k] = ZERO
+                if r == c and i == k:
+                    block[i, k] = scale
+    values[e] = block

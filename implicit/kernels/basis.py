@@ -1,0 +1,95 @@
+"""The points' view of the lattice for one step: which nodes, with what weights and slopes.
+
+The basis is that of the start of the step (updated Lagrangian), so it is evaluated once and every Newton
+iteration reads it; the assembly does not know which basis it is.
+"""
+
+import warp as wp
+
+from implicit.kernels.layout import BASIS, NAME, OUTSIDE, mat33, real, vec3
+
+stencil = BASIS.stencil
+NEGLIGIBLE = wp.constant(real(1e-12))
+
+
+@wp.func(module=NAME)
+def reached(s: vec3, ds: vec3):
+    """How many of an axis' three nodes the point sees: the third has no weight unless the domain reaches over."""
+    if s[2] > NEGLIGIBLE:
+        return 3
+    return 2
+
+
+@wp.kernel(module=NAME)
+def weigh(
+    x: wp.array(dtype=vec3),
+    inv_cell: real,
+    base: wp.array(dtype=wp.vec3i),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    slope: wp.array(dtype=mat33),
+):
+    """First node of each point's stencil, nodes seen per axis, weights [-] and slopes [1/m] (row: axis)."""
+    p = wp.tid()
+    i, j, k, sx, sy, sz, dx, dy, dz = stencil(x[p], inv_cell)
+    base[p] = wp.vec3i(i, j, k)
+    reach[p] = wp.vec3i(reached(sx, dx), reached(sy, dy), reached(sz, dz))
+    weight[p] = wp.matrix_from_rows(sx, sy, sz)
+    slope[p] = wp.matrix_from_rows(dx, dy, dz)
+
+
+@wp.kernel(module=NAME)
+def touch(
+    base: wp.array(dtype=wp.vec3i),
+    reach: wp.array(dtype=wp.vec3i),
+    corner: wp.vec3i,
+    touched: wp.array3d(dtype=wp.int32),
+):
+    """Mark the nodes of a window, from node `corner` on, that some point sees."""
+    p = wp.tid()
+    at, count = base[p] - corner, reach[p]
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                touched[at[0] + a, at[1] + b, at[2] + c] = 1
+
+
+@wp.kernel(module=NAME)
+def look_up(
+    base: wp.array(dtype=wp.vec3i),
+    corner: wp.vec3i,
+    number: wp.array3d(dtype=wp.int32),
+    nodes: wp.array2d(dtype=wp.int32),
+):
+    """Numbers of the nodes of each point's stencil, OUTSIDE where a node is not solved for."""
+    p = wp.tid()
+    at = base[p] - corner
+    for a in range(3):
+        for b in range(3):
+            for c in range(3):
+                i, j, k = at[0] + a, at[1] + b, at[2] + c
+                n = OUTSIDE
+                if i < number.shape[0] and j < number.shape[1] and k < number.shape[2]:
+                    n = number[i, j, k]
+                nodes[p, 9 * a + 3 * b + c] = n
+
+
+@wp.kernel(module=NAME)
+def couple(
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    coupled: wp.array2d(dtype=wp.int32),
+):
+    """Mark which of a node's 125 neighbours (offset -2..2 per axis) share a point with it."""
+    p = wp.tid()
+    count = reach[p]
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                row = nodes[p, 9 * a + 3 * b + c]
+                if row != OUTSIDE:
+                    for d in range(count[0]):
+                        for e in range(count[1]):
+                            for f in range(count[2]):
+                                if nodes[p, 9 * d + 3 * e + f] != OUTSIDE:
+                                    coupled[row, 25 * (d - a + 2) + 5 * (e - b + 2) + f - c + 2] = 1

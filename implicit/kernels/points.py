@@ -1,0 +1,248 @@
+"""What a point feels of the nodes' displacement increment: finite strain, stress, consistent tangent.
+
+Multiplicative elastoplasticity with Hencky strain and Kirchhoff stress (Simo 1992; de Souza Neto, Peric and
+Owen 2008, ch. 14). The elastic left Cauchy-Green tensor is pushed by the increment, b_trial = F b F^T, its
+principal logarithmic strains are returned to the cone by `mpm.drucker_prager`, and the principal directions
+are kept. In them the derivative of the logarithm is written with (ln a - ln b)/(a - b), which has no
+singularity where principal stretches coincide.
+"""
+
+import warp as wp
+
+from implicit.kernels.layout import LAW, NAME, OUTSIDE, Material, mat33, real, vec3, vec6
+
+ZERO, HALF, ONE, TWO, THREE = (wp.constant(real(value)) for value in (0.0, 0.5, 1.0, 2.0, 3.0))
+FIFTH, SEVENTH, SMALL = (wp.constant(real(value)) for value in (0.2, 1.0 / 7.0, 1e-2))
+return_map, return_slopes = LAW.return_map, LAW.return_slopes
+
+
+@wp.func(module=NAME)
+def increment(
+    p: int,
+    u: wp.array(dtype=vec3),
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    slope: wp.array(dtype=mat33),
+):
+    """F = I + sum u (x) grad N of point `p`, gradients with respect to where the step started."""
+    s, ds, count = weight[p], slope[p], reach[p]
+    fx = vec3(ZERO, ZERO, ZERO)
+    fy = vec3(ZERO, ZERO, ZERO)
+    fz = vec3(ZERO, ZERO, ZERO)
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                n = nodes[p, 9 * a + 3 * b + c]
+                if n != OUTSIDE:
+                    un = u[n]
+                    fx += (ds[0, a] * s[1, b] * s[2, c]) * un
+                    fy += (s[0, a] * ds[1, b] * s[2, c]) * un
+                    fz += (s[0, a] * s[1, b] * ds[2, c]) * un
+    return mat33(ONE + fx[0], fy[0], fz[0], fx[1], ONE + fy[1], fz[1], fx[2], fy[2], ONE + fz[2])
+
+
+@wp.func(module=NAME)
+def principal(f: mat33, b: mat33):
+    """Principal directions (columns) of b_trial = F b F^T, its eigenvalues and its Hencky strains."""
+    trial = f * b * wp.transpose(f)
+    # The eigenvalues of b - I: at small strain those of b would lose what they have in common.
+    axes, over = wp.eig3(trial - wp.identity(3, dtype=real))
+    strain = HALF * vec3(wp.log(ONE + over[0]), wp.log(ONE + over[1]), wp.log(ONE + over[2]))
+    return axes, vec3(ONE + over[0], ONE + over[1], ONE + over[2]), strain
+
+
+@wp.func(module=NAME)
+def diagonal(q: mat33, d: vec3):
+    """q diag(d) q^T."""
+    return q * mat33(d[0], ZERO, ZERO, ZERO, d[1], ZERO, ZERO, ZERO, d[2]) * wp.transpose(q)
+
+
+@wp.func(module=NAME)
+def log_quotient(a: real, b: real):
+    """(ln a - ln b)/(a - b), by the series of 2 artanh where a and b are close."""
+    r = (a - b) / (a + b)
+    if wp.abs(r) > SMALL:
+        return wp.log(a / b) / (a - b)
+    r2 = r * r
+    return TWO * (ONE + r2 * (ONE / THREE + r2 * (FIFTH + r2 * SEVENTH))) / (a + b)
+
+
+@wp.func(module=NAME)
+def returned(strain: vec3, opening: real, viscous: real, material: Material):
+    """Trial invariants and deviator of Hencky strains, and what the return map makes of them.
+
+    `viscous` is the share w of the trial deviator that stays, s = (1 - w) s_returned + w s_trial (Duvaut and Lions
+    1972): an overstress in proportion to the step's plastic shear, gone at rest.
+    """
+    volumetric = strain[0] + strain[1] + strain[2]
+    third = volumetric / THREE
+    deviator = (TWO * material.shear) * (strain - vec3(third, third, third))
+    root = wp.sqrt(HALF * wp.dot(deviator, deviator))
+    mean_trial = material.bulk * volumetric
+    mean, scale, opened, d_eps, _work = return_map(mean_trial, root, opening, material)
+    scale = scale + viscous * (ONE - scale)
+    return mean_trial, root, deviator, mean, scale, opened, d_eps
+
+
+@wp.kernel(module=NAME)
+def stress_flux(
+    u: wp.array(dtype=vec3),
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    slope: wp.array(dtype=mat33),
+    b_e: wp.array(dtype=mat33),
+    opening: wp.array(dtype=real),
+    material: Material,
+    viscous: real,
+    flux: wp.array(dtype=mat33),
+    smallest: wp.array(dtype=real),
+):
+    """tau F^-T, whose product with a node's gradient is the nodal force per initial volume; `smallest` det F."""
+    p = wp.tid()
+    f = increment(p, u, nodes, reach, weight, slope)
+    det = wp.determinant(f)
+    if det < smallest[0]:
+        smallest[0] = det
+    axes, _square, strain = principal(f, b_e[p])
+    opened = ZERO
+    if material.apex_memory > 0:
+        opened = opening[p]
+    _m, _r, deviator, mean, scale, _o, _d = returned(strain, opened, viscous, material)
+    tau = diagonal(axes, scale * deviator + vec3(mean, mean, mean))
+    flux[p] = tau * wp.transpose(wp.inverse(f))
+
+
+@wp.kernel(module=NAME)
+def tangent_flux(
+    u: wp.array(dtype=vec3),
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    slope: wp.array(dtype=mat33),
+    b_e: wp.array(dtype=mat33),
+    opening: wp.array(dtype=real),
+    material: Material,
+    viscous: real,
+    blend: real,
+    tangent: wp.array2d(dtype=mat33),
+):
+    """d(tau F^-T)/dF as nine matrices: entry (i, k) of tangent[p, 3 j + l] is d flux_ij / dF_kl.
+
+    In principal axes, with l = dF F^-1: d eps_ij = 1/2 f_ij (l_ij b_j + l_ji b_i), f_ij the quotient of
+    logarithms; then dtau from the slopes of the return map, and the geometric part -tau l^T. `blend` [-] is a
+    share of the elastic in place of the plastic modulus; 0 is the exact derivative.
+    """
+    p = wp.tid()
+    f = increment(p, u, nodes, reach, weight, slope)
+    axes, square, strain = principal(f, b_e[p])
+    opened = ZERO
+    if material.apex_memory > 0:
+        opened = opening[p]
+    mean_trial, root, deviator, mean, scale, _o, _d = returned(strain, opened, viscous, material)
+    mean_m, mean_r, root_m, root_r = return_slopes(mean_trial, root, opened, material)
+    tau = scale * deviator + vec3(mean, mean, mean)
+    root_m, root_r = (ONE - viscous) * root_m, (ONE - viscous) * root_r + viscous
+    keep = ONE - blend
+    mean_m, mean_r, root_m, root_r = keep * mean_m + blend, keep * mean_r, keep * root_m, keep * root_r + blend
+    scale = keep * scale + blend
+    direction = vec3(ZERO, ZERO, ZERO)
+    if root > ZERO:
+        direction = deviator / root
+    else:
+        scale = root_r
+    g, k = material.shear, material.bulk
+
+    # d tau_ii / d l_kk
+    normal = mat33()
+    for i in range(3):
+        for c in range(3):
+            value = k * mean_m + g * mean_r * direction[c] - TWO * g * scale / THREE
+            value += direction[i] * (k * root_m + g * (root_r - scale) * direction[c])
+            if i == c:
+                value += TWO * g * scale
+            normal[i, c] = value
+    back = wp.inverse(f)  # reference gradients: grad = F^-T grad_0
+    to_reference = back * axes  # row j: reference axis j in principal axes
+    for j0 in range(3):
+        for l0 in range(3):
+            block = mat33()  # (i, k) in principal axes
+            for i in range(3):
+                for c in range(3):
+                    if i == c:
+                        value = (normal[i, i] - tau[i]) * to_reference[j0, i] * to_reference[l0, i]
+                        for j in range(3):
+                            if j != i:
+                                shear = scale * g * log_quotient(square[i], square[j]) * square[j]
+                                value += shear * to_reference[j0, j] * to_reference[l0, j]
+                        block[i, c] = value
+                    else:
+                        # j = i, l = k: normal coupling; j = k, l = i: shear and the geometric part
+                        shear = scale * g * log_quotient(square[i], square[c]) * square[i] - tau[i]
+                        block[i, c] = (
+                            normal[i, c] * to_reference[j0, i] * to_reference[l0, c]
+                            + shear * to_reference[j0, c] * to_reference[l0, i]
+                        )
+            tangent[p, 3 * j0 + l0] = axes * block * wp.transpose(axes)
+
+
+@wp.kernel(module=NAME)
+def commit(
+    u: wp.array(dtype=vec3),
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    slope: wp.array(dtype=mat33),
+    material: Material,
+    viscous: real,
+    x: wp.array(dtype=vec3),
+    b_e: wp.array(dtype=mat33),
+    jacobian: wp.array(dtype=real),
+    opening: wp.array(dtype=real),
+    eps_p_eqv: wp.array(dtype=real),
+    moved: wp.array(dtype=vec3),
+):
+    """Accept the increment: the point moves (`moved` [m]) and takes its returned elastic state."""
+    p = wp.tid()
+    f = increment(p, u, nodes, reach, weight, slope)
+    axes, _square, strain = principal(f, b_e[p])
+    opened = ZERO
+    if material.apex_memory > 0:
+        opened = opening[p]
+    _m, _r, deviator, mean, scale, opened, d_eps = returned(strain, opened, viscous, material)
+    third = mean / (THREE * material.bulk)
+    elastic = (scale / (TWO * material.shear)) * deviator + vec3(third, third, third)
+    b_e[p] = diagonal(axes, vec3(wp.exp(TWO * elastic[0]), wp.exp(TWO * elastic[1]), wp.exp(TWO * elastic[2])))
+    jacobian[p] = jacobian[p] * wp.determinant(f)
+    if material.apex_memory > 0:
+        opening[p] = opened
+    if material.plastic > 0:
+        eps_p_eqv[p] = eps_p_eqv[p] + d_eps
+    s, count = weight[p], reach[p]
+    step = vec3(ZERO, ZERO, ZERO)
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                n = nodes[p, 9 * a + 3 * b + c]
+                if n != OUTSIDE:
+                    step += (s[0, a] * s[1, b] * s[2, c]) * u[n]
+    moved[p] = step
+    x[p] = x[p] + step
+
+
+@wp.kernel(module=NAME)
+def cauchy(
+    b_e: wp.array(dtype=mat33),
+    jacobian: wp.array(dtype=real),
+    material: Material,
+    sigma: wp.array(dtype=vec6),
+):
+    """Cauchy stress [Pa] (xx, yy, zz, yz, xz, xy) of the elastic state."""
+    p = wp.tid()
+    axes, over = wp.eig3(b_e[p] - wp.identity(3, dtype=real))
+    strain = HALF * vec3(wp.log(ONE + over[0]), wp.log(ONE + over[1]), wp.log(ONE + over[2]))
+    volumetric = strain[0] + strain[1] + strain[2]
+    mean = (material.bulk - TWO * material.shear / THREE) * volumetric
+    s = diagonal(axes, (TWO * material.shear) * strain + vec3(mean, mean, mean)) / jacobian[p]
+    sigma[p] = vec6(s[0, 0], s[1, 1], s[2, 2], s[1, 2], s[0, 2], s[0, 1])

@@ -1,0 +1,115 @@
+"""Newton's method for one step: PETSc SNES with a backtracking line search and a Krylov solver."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from implicit._dolfinx import PETSc
+from implicit.system import System
+
+MOST_ITERATIONS = 25
+# A line search that must shorten a step below this has no descent: at a kink (a point that just closes, or just
+# yields) the tangent of one side points uphill.
+SHORTEST = 0.03
+# Shares of the elastic in the plastic modulus with which Newton goes on from such a kink. They fall tenfold with each
+# iteration, so that the last ones are exact Newton; the solution is the same.
+RESCUES = (0.0, 0.01, 0.1)
+# Preconditioners in the order in which they are tried: sweeps over 3x3 blocks, then incomplete and complete
+# factors (benchmarks/results/implicit_linear_cpu.csv).
+PRECONDITIONERS = ("sor", "ilu", "lu")
+
+
+@dataclass
+class Outcome:
+    """What a Newton solve gave: the increment `u` (count, 3) [m] if `converged`, and what it took.
+
+    `residuals`: norm of the residual [N] before the first and after each iteration.
+    """
+
+    u: np.ndarray
+    converged: bool
+    iterations: int
+    linear_iterations: int
+    residuals: list[float]
+
+
+class _Context:
+    """A system as SNES sees it."""
+
+    def __init__(self, system: System):
+        self.system, self.blend = system, 0.0
+
+    def residual(self, _snes, x, f):
+        f.array[:] = self.system.residual(x.array_r.reshape(-1, 3)).ravel()
+
+    def tangent(self, _snes, x, matrix, _preconditioner):
+        s = self.system
+        values = s.tangent(x.array_r.reshape(-1, 3), self.blend)
+        self.blend = 0.1 * self.blend if self.blend > RESCUES[1] / 100 else 0.0
+        matrix.zeroEntries()
+        matrix.setValuesBlockedCSR(s.indptr, s.indices, values.reshape(-1))
+        matrix.assemble()
+
+
+def solve(system: System, tolerance: float, linear_tolerance: float) -> Outcome:
+    """Find the increment at which the residual's norm is below `tolerance` [N], from u = 0.
+
+    `linear_tolerance` [-]: relative residual of the linear solves. Not converged where the line search finds no
+    descent, or not within 25 iterations.
+    """
+    comm, size = PETSc.COMM_SELF, 3 * system.count
+    context = _Context(system)
+    pattern = (system.indptr, system.indices, np.zeros(9 * len(system.indices)))
+    matrix = PETSc.Mat().createBAIJ(size=((size, size), (size, size)), bsize=3, csr=pattern, comm=comm)
+    x, f = matrix.createVecs()
+    snes = PETSc.SNES().create(comm)
+    try:
+        snes.setFunction(context.residual, f)
+        snes.setJacobian(context.tangent, matrix)
+        _configure(snes, linear_tolerance)
+        return _solve(snes, context, x, tolerance)
+    finally:
+        for thing in (snes, matrix, x, f):  # petsc4py would keep them: a gigabyte in a few hundred steps
+            thing.destroy()
+
+
+def _configure(snes, linear_tolerance):
+    snes.setType("newtonls")
+    options = PETSc.Options()
+    snes.setOptionsPrefix("repose_")
+    options["repose_snes_linesearch_type"] = "bt"
+    options["repose_snes_linesearch_minlambda"] = SHORTEST
+    ksp = snes.getKSP()
+    ksp.setType("gmres")
+    ksp.setGMRESRestart(150)
+    ksp.setPCSide(PETSc.PC.Side.RIGHT)  # left: the preconditioned residual can be small where the true one is not
+    ksp.setTolerances(rtol=linear_tolerance, atol=0.0, max_it=300)
+    snes.setFromOptions()
+
+
+def _solve(snes, context, x, tolerance) -> Outcome:
+    reasons = PETSc.SNES.ConvergedReason
+    iterations = linear_iterations = 0
+    residuals = []
+    stages = [(blend, PRECONDITIONERS[0]) for blend in RESCUES]
+    x.set(0.0)
+    while stages:
+        context.blend, preconditioner = stages.pop(0)
+        snes.getKSP().getPC().setType(preconditioner)
+        snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MOST_ITERATIONS - iterations)
+        snes.setConvergenceHistory(MOST_ITERATIONS + 1, reset=True)
+        snes.solve(None, x)
+        iterations += snes.getIterationNumber()
+        linear_iterations += snes.getLinearSolveIterations()
+        residuals += list(snes.getConvergenceHistory()[0])[1 if residuals else 0 :]
+        reason = snes.getConvergedReason()
+        if reason > 0:
+            return Outcome(x.array.reshape(-1, 3).copy(), True, iterations, linear_iterations, residuals)
+        if reason == reasons.DIVERGED_LINEAR_SOLVE:
+            later = PRECONDITIONERS[PRECONDITIONERS.index(preconditioner) + 1 :]
+            stages = [(context.blend, later[0]), *((b, later[0]) for b, _ in stages)] if later else []
+        elif reason != reasons.DIVERGED_LINE_SEARCH:
+            break
+        if iterations >= MOST_ITERATIONS:
+            break
+    return Outcome(x.array.reshape(-1, 3).copy(), False, iterations, linear_iterations, residuals)

@@ -1,0 +1,93 @@
+"""Pseudo-time of a quasistatic collapse: what resists the increment, how long the next step is, when it is over.
+
+A cohesionless column with a free face is in no equilibrium, so the collapse is followed. Each step finds the
+increment u at which gravity, internal forces and a drag M u/dt^2 balance: u falls freely over dt where nothing
+holds it. No momentum is carried over, so nothing overshoots. Two more terms make Newton's problem well posed: springs
+between nodes that hardly any material touches and those behind them (ghost penalty), and a little viscous
+overstress. All three act on the increment and vanish with it.
+"""
+
+import math
+from dataclasses import dataclass
+
+from mpm.scene import Body
+
+GHOST_FADES = 0.5  # step in sqrt(cell/g) beyond which the ghost penalty falls: what it holds must come down in the end
+REST_UNBALANCED = 1e-2  # out-of-balance over external force, below which the body may be at rest
+REST_DRIFT = 1e-3  # relative advance of the front (R_995) over sqrt(h0/g) of pseudo-time, likewise
+REST_STEPS = 3  # steps over which that advance is taken at least
+LONGEST_FIRST = 0.1  # first step, over the step's cap
+QUICK, SLOW = 6, 12  # Newton iterations: at most QUICK and the step may grow fast, more than SLOW and it shrinks
+SHORTEST = 1e-4  # step over its cap, below which a run that still fails is given up
+
+
+@dataclass(frozen=True)
+class Regularisation:
+    """What makes the collapse computable; benchmarks/results/implicit_regularisation_cpu.csv says what it does to R.
+
+    `drag` [-]: on M u/dt^2. `momentum` [-]: share of the velocity carried from step to step; 0 quasistatic, 1 full
+    inertia. `ghost` [-]: face ghost penalty over rho g h0, in steps up to sqrt(cell/g)/2; in longer ones it falls as
+    1/dt. `viscosity` [-]: overstress per plastic shear strain of a step, over rho g h0. `reach` [-]: distance in
+    cells that all but 2 % of the points may go in a step. `cap` [-]: longest step, in sqrt(cell/g).
+    """
+
+    drag: float = 1.0
+    momentum: float = 0.0
+    ghost: float = 1.0
+    viscosity: float = 0.1
+    reach: float = 0.3
+    cap: float = 3.0
+
+    def of_step(self, body: Body, dt: float) -> dict[str, float]:
+        """Arguments of `System.resist` for a step of `dt` [s]."""
+        cell, gravity = body.scene.grid.cell, body.scene.loads.gravity
+        pressure = body.constants.density * gravity * body.height
+        fading = min(1.0, GHOST_FADES * math.sqrt(cell / gravity) / dt)
+        return {
+            "drag": self.drag,
+            # gamma h/3 times the square of the jump, integrated over the faces around a node, h^2 in all
+            "ghost": self.ghost * fading * pressure * cell / 3.0,
+            "viscous": self.viscosity * pressure / body.constants.shear,
+            "dt": dt,
+            "momentum": self.momentum,
+        }
+
+
+class StepLength:
+    """Length `dt` [s] of the next step, steered by how far points moved and what Newton needed."""
+
+    def __init__(self, regularisation: Regularisation, cell: float, gravity: float):
+        self.longest = regularisation.cap * math.sqrt(cell / gravity)
+        self.reach = regularisation.reach * cell
+        self.dt = LONGEST_FIRST * self.longest
+
+    def accepted(self, moved: float, iterations: int):
+        """A step succeeded in which points moved `moved` [m] (a high quantile)."""
+        growth = 2.0 if iterations <= QUICK else 1.4
+        if iterations > SLOW:
+            growth = 0.8
+        wanted = self.reach / moved if moved > 0 else growth
+        self.dt = min(self.dt * min(max(wanted, 0.5), growth), self.longest)
+
+    def failed(self) -> bool:
+        """Halve a step that Newton could not solve; False where it is the shortest already."""
+        self.dt *= 0.5
+        return self.dt > SHORTEST * self.longest
+
+
+class Rest:
+    """Judges rest from the (time, R_995) of the steps so far."""
+
+    def __init__(self, time_scale: float):
+        self.time_scale = time_scale
+        self.recent: list[tuple[float, float]] = []
+
+    def __call__(self, time: float, runout: float, unbalanced: float) -> bool:
+        """Whether the body rests at `time` [s]: forces balance, and the front (R_995 = `runout`) has stopped."""
+        self.recent.append((time, runout))
+        while len(self.recent) > REST_STEPS + 1 and self.recent[1][0] <= time - self.time_scale:
+            self.recent.pop(0)
+        since, earlier = self.recent[0]
+        if len(self.recent) <= REST_STEPS or time - since < self.time_scale or unbalanced > REST_UNBALANCED:
+            return False
+        return abs(runout - earlier) / (time - since) * self.time_scale < REST_DRIFT * (1.0 + runout)

@@ -1,0 +1,200 @@
+"""The implicit solver: one step as its phases in order, load steps or steps of a collapse in pseudo-time."""
+
+import numpy as np
+
+from implicit.background import Background
+from implicit.geostatic import geostatic_strain
+from implicit.kernels.layout import LAW
+from implicit.newton import solve
+from implicit.relaxation import Regularisation, StepLength
+from implicit.state import Basis, Points
+from implicit.system import System
+from mpm.errors import NumericalError, SceneError
+from mpm.scene import Body
+
+MOVED_QUANTILE = 0.98  # of the points' displacement in a step: single grains in the air do not shorten it
+# Residual over weight at which a step is solved: a hundredth of what it starts from, within these bounds. What is
+# left is part of the next step's residual, so it does not add up.
+LOOSEST, TIGHTEST, REDUCTION = 1e-3, 1e-5, 1e-2
+LINEAR_TOLERANCE = 1e-3
+STATIC_TOLERANCE = 1e-9  # likewise of a load step, where nothing corrects it afterwards
+STATIC_LINEAR_TOLERANCE = 1e-6
+STATIC_GHOST = 1e-4  # ghost springs of a load step, over G h
+SMALLEST_LOAD_STEP = 1 / 64  # of the wanted one
+
+
+class ImplicitSolver:
+    """Points and background grid of one body.
+
+    `state`: the points (`implicit.state.Points`). `background`: mesh and space in dolfinx. `system`: that of the
+    last step. `time` [s]: pseudo-time; `steps`, `failed_steps`, `newton_iterations`, `linear_iterations` so far;
+    `unbalanced_ratio`: norm of the out-of-balance over that of the external nodal forces.
+    """
+
+    COUNTERS = ("time", "steps", "failed_steps", "newton_iterations", "linear_iterations", "load_share")
+
+    def __init__(self, body: Body, regularisation: Regularisation = Regularisation()):
+        """Raises SceneError for a scene that the implicit solver cannot run."""
+        scene = body.scene
+        _refuse(scene)
+        self.body, self.regularisation = body, regularisation
+        self.cell, self.gravity = scene.grid.cell, scene.loads.gravity
+        self.points = len(body.x)
+        self.state = Points(body)
+        self.material = LAW.pack(body.constants)
+        self.weights = Basis(self.points)
+        self.background = Background(self.cell, body.walls)
+        self.length = StepLength(regularisation, self.cell, self.gravity)
+        self.time, self.steps, self.failed_steps = 0.0, 0, 0
+        self.newton_iterations = self.linear_iterations = 0
+        self.unbalanced_ratio = float("inf")
+        self.residuals: list[float] = []
+        self.nodes_solved_max = 0
+        self.load_share = 0.0
+        if scene.implicit.initial_stress == "geostatic":
+            strain = geostatic_strain(body)
+            self.state.b_e.numpy()[:] = np.exp(2.0 * strain)[:, :, None] * np.eye(3)
+            self.load_share = 1.0
+        self._pull()
+        self.system = self._new_system()
+        self.nodes_solved_start = self.system.count
+
+    @property
+    def time_step(self) -> float:
+        """Length [s] of the next step in pseudo-time."""
+        return self.length.dt
+
+    @property
+    def x(self) -> np.ndarray:
+        """Positions (n, 3) [m] of the points."""
+        return self.state.x.numpy()
+
+    def _pull(self):
+        """External force of the points at the present share of gravity."""
+        self.state.load.numpy()[:] = [0.0, 0.0, -self.load_share * self.gravity * self.state.mass]
+
+    def _new_system(self) -> System:
+        """Where the points are now: basis, mesh, unknowns, sparsity."""
+        self.weights.evaluate(self.state.x, self.cell)
+        self.background.follow(self.weights.base.numpy())
+        system = System(self.state, self.weights, self.background, self.material)
+        self.nodes_solved_max = max(self.nodes_solved_max, system.count)
+        return system
+
+    def advance(self):
+        """One step: of gravity, while it is not whole, then of the collapse. Its Newton may need several tries.
+
+        Raises NumericalError when Newton fails at the smallest step; the state is then that of the last step.
+        """
+        if self.load_share < 1.0:
+            self._load_step(1.0 / self.body.scene.implicit.load_steps)
+            self.time += self.body.time_scale / self.body.scene.implicit.load_steps
+        else:
+            self._collapse_step()
+        self.steps += 1
+
+    def _collapse_step(self):
+        """Balance gravity, internal forces and drag over `time_step`."""
+        self.system = system = self._new_system()
+        weight = float(np.linalg.norm(system.load))
+        while True:
+            system.resist(**self.regularisation.of_step(self.body, self.length.dt))
+            start = float(np.linalg.norm(system.residual(np.zeros((system.count, 3)))))
+            tolerance = max(TIGHTEST * weight, min(REDUCTION * start, LOOSEST * weight))
+            outcome = self._solve(tolerance, LINEAR_TOLERANCE)
+            if outcome.converged:
+                break
+            self.failed_steps += 1
+            if not self.length.failed():
+                raise NumericalError(self._stuck(f"at the smallest step, {self.length.dt:.3g} s", weight))
+        self.time += self.length.dt
+        self._accept(outcome.u)
+        moved = float(np.quantile(np.linalg.norm(self.state.moved.numpy(), axis=1), MOVED_QUANTILE))
+        self.length.accepted(moved, outcome.iterations)
+
+    def _load_step(self, wanted: float):
+        """Add the share `wanted` of gravity in static equilibrium, in smaller parts where Newton needs them."""
+        part, end = wanted, min(self.load_share + wanted, 1.0)
+        if end > 1.0 - 1e-9:
+            end = 1.0
+        while self.load_share < end:
+            before = self.load_share
+            self.load_share = min(before + part, end)
+            self._pull()
+            self.system = self._new_system()
+            weight = float(np.linalg.norm(self.system.load))
+            self.system.resist(ghost=STATIC_GHOST * self.body.constants.shear * self.cell)
+            outcome = self._solve(STATIC_TOLERANCE * weight, STATIC_LINEAR_TOLERANCE)
+            if outcome.converged:
+                self._accept(outcome.u)
+                continue
+            self.failed_steps += 1
+            self.load_share, part = before, 0.5 * part
+            self._pull()
+            if part < SMALLEST_LOAD_STEP * wanted:
+                raise NumericalError(self._stuck(f"at the smallest load step, {part:.3g} of gravity", weight))
+
+    def _solve(self, tolerance, linear_tolerance):
+        outcome = solve(self.system, tolerance, linear_tolerance)
+        self.newton_iterations += outcome.iterations
+        self.linear_iterations += outcome.linear_iterations
+        self.residuals = outcome.residuals
+        return outcome
+
+    def _accept(self, u):
+        self.system.residual(u)
+        self.unbalanced_ratio = float(np.linalg.norm(self.system.unbalanced) / np.linalg.norm(self.system.load))
+        self.system.commit(u)
+        x = self.x
+        if not np.isfinite(x).all():
+            point = int(np.argmax(~np.isfinite(x).all(axis=1)))
+            raise NumericalError(
+                f"diverged at pseudo-time {self.time:.6g} s, point {point}: its position is not finite"
+            )
+
+    def _stuck(self, where: str, weight: float) -> str:
+        """Newton's failure in words: how far it came, and the point whose node is farthest from balance."""
+        system = self.system
+        residual = np.linalg.norm(system.residual(np.zeros((system.count, 3))), axis=1)
+        worst = int(np.argmax(residual))
+        point = int(np.argmax((system.nodes.numpy() == worst).any(axis=1)))
+        reached = min(self.residuals) / weight if self.residuals else float("nan")
+        at = np.array2string(self.x[point], precision=4)
+        return (
+            f"Newton failed {where}, pseudo-time {self.time:.6g} s, step {self.steps + 1}: residual {reached:.2g} of "
+            f"the weight after {len(self.residuals) - 1} iterations, largest near point {point}, x = {at} m"
+        )
+
+    def state_to_save(self) -> dict:
+        """Everything a restart needs; `restore` takes it back to the bit."""
+        counters = {name: getattr(self, name) for name in self.COUNTERS}
+        return {
+            **self.state.state(),
+            **counters,
+            "dt": self.length.dt,
+            "unbalanced_ratio": self.unbalanced_ratio,
+            "nodes_solved_start": self.nodes_solved_start,
+            "nodes_solved_max": self.nodes_solved_max,
+        }
+
+    def restore(self, state: dict):
+        """Take over what `state_to_save` gave."""
+        self.state.restore(state)
+        for name in (*self.COUNTERS, "unbalanced_ratio", "nodes_solved_start", "nodes_solved_max"):
+            setattr(self, name, state[name])
+        self.length.dt = state["dt"]
+        self._pull()
+
+
+def _refuse(scene):
+    """Scenes without a quasistatic reading. Raises SceneError with all reasons."""
+    problems = []
+    if scene.loads.gravity == 0:
+        problems.append("loads.gravity = 0: the implicit solver follows a body under its weight, must be > 0 [m/s2]")
+    if scene.loads.ramp > 0:
+        problems.append(
+            f"loads.ramp = {scene.loads.ramp:g}: a time for the explicit solver only; the implicit one adds gravity in "
+            "implicit.load_steps with implicit.initial_stress = 'none'"
+        )
+    if problems:
+        raise SceneError(problems)

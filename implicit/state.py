@@ -1,0 +1,64 @@
+"""What the implicit solver knows of the material points, and how they see the lattice at the start of a step."""
+
+import numpy as np
+import warp as wp
+
+from implicit.kernels import basis
+from implicit.kernels.layout import mat33, real, vec3, vec6
+from implicit.kernels.points import cauchy
+from mpm.scene import Body
+
+
+class Points:
+    """State of the material points, float64 on the CPU.
+
+    `x` (n, 3) [m]; `v` (n, 3) [m/s], velocity in pseudo-time; `b_e` (n, 3, 3) elastic left Cauchy-Green tensor [-];
+    `jacobian` (n,) volume over initial volume [-]; `opening` (n,) and `eps_p_eqv` (n,) as in `mpm.drucker_prager`,
+    empty where the material has no use for them; `load` (n, 3) [N] external force; `moved` (n, 3) [m] in the last
+    step. `mass` [kg] and initial `volume` [m3] are those of one point.
+    """
+
+    SAVED = ("x", "v", "b_e", "jacobian", "opening", "eps_p_eqv", "moved")
+
+    def __init__(self, body: Body):
+        constants, n = body.constants, len(body.x)
+        self.count, self.mass, self.volume = n, body.point_mass, body.point_volume
+        self.x = wp.array(body.x, dtype=vec3, device="cpu")
+        self.v = wp.zeros(n, dtype=vec3, device="cpu")
+        self.b_e = wp.array(np.tile(np.eye(3), (n, 1, 1)), dtype=mat33, device="cpu")
+        self.jacobian = wp.full(n, real(1.0), dtype=real, device="cpu")
+        self.opening = wp.zeros(n if constants.plastic and constants.apex_memory else 0, dtype=real, device="cpu")
+        self.eps_p_eqv = wp.zeros(n if constants.plastic else 0, dtype=real, device="cpu")
+        self.load = wp.zeros(n, dtype=vec3, device="cpu")
+        self.moved = wp.zeros(n, dtype=vec3, device="cpu")
+
+    def sigma(self, material) -> np.ndarray:
+        """Cauchy stress (n, 6) [Pa]: xx, yy, zz, yz, xz, xy."""
+        sigma = wp.zeros(self.count, dtype=vec6, device="cpu")
+        wp.launch(cauchy, self.count, inputs=[self.b_e, self.jacobian, material, sigma], device="cpu")
+        return sigma.numpy()
+
+    def state(self) -> dict[str, np.ndarray]:
+        """What a restart needs, as copies."""
+        return {name: getattr(self, name).numpy().copy() for name in self.SAVED}
+
+    def restore(self, state: dict[str, np.ndarray]):
+        """Take over what `state` gave."""
+        for name in self.SAVED:
+            if getattr(self, name).size:
+                getattr(self, name).assign(state[name])
+
+
+class Basis:
+    """First nodes, reach, weights and slopes of the points' stencils (see `implicit.kernels.basis.weigh`)."""
+
+    def __init__(self, count: int):
+        self.base = wp.zeros(count, dtype=wp.vec3i, device="cpu")
+        self.reach = wp.zeros(count, dtype=wp.vec3i, device="cpu")
+        self.weight = wp.zeros(count, dtype=mat33, device="cpu")
+        self.slope = wp.zeros(count, dtype=mat33, device="cpu")
+
+    def evaluate(self, x: wp.array, cell: float):
+        """uGIMP at points `x` (n,) vec3 [m]."""
+        outputs = [self.base, self.reach, self.weight, self.slope]
+        wp.launch(basis.weigh, len(x), inputs=[x, real(1.0 / cell), *outputs], device="cpu")

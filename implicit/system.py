@@ -1,0 +1,190 @@
+"""The nonlinear system of one step: residual and exact tangent of the nodes' displacement increment u.
+
+    R(u) = f_int(u) - f_ext + drag M (u - momentum dt v)/dt^2 + ghost penalty on u
+
+Internal forces and tangent come from `implicit.kernels`. Drag and ghost penalty vanish with u, so that what is at
+rest is in static equilibrium.
+"""
+
+import numpy as np
+import warp as wp
+
+from implicit.background import Background
+from implicit.kernels import assembly, basis, ghost, points
+from implicit.kernels.layout import NEIGHBOURS, OUTSIDE, SELF, STENCIL, mat33, real, vec3
+from implicit.state import Basis, Points
+
+SMALLEST_STRETCH = 0.05  # det F of a point in one step, below which an increment is refused
+REFUSED = 1e30  # [N] stands for the residual of such an increment: a line search shortens it
+WEAK = 0.2  # share of a bulk node's mass below which the ghost penalty ties a node to those behind it
+STRIDES = (25, 5, 1)  # of the three axes, among a node's 125 neighbours
+
+
+class System:
+    """Unknowns, sparsity, residual and tangent of one step.
+
+    `count` nodes are solved for: those that some point sees and that no wall holds altogether. `dofs` (count,) are
+    their blocks in the dolfinx space, `held` (count, 3) bool the components that walls hold, `node_mass` (count,)
+    [kg], `velocity` (count, 3) [m/s], `load` (count, 3) [N]. The matrix is kept in 3x3 blocks by compressed rows:
+    `indptr`, `indices`, `values` (blocks, 3, 3) [N/m].
+    """
+
+    def __init__(self, state: Points, weights: Basis, background: Background, material):
+        self.state, self.weights, self.material = state, weights, material
+        self._stencils = [weights.reach, weights.weight]
+        self._number(background)
+        self._gather()
+        self._tie_weak_nodes()
+        self._couple()
+        self.force = self._zeros(self.count, vec3)
+        self.flux = self._zeros(state.count, mat33)
+        self.tangents = self._zeros((state.count, 9), mat33)
+        self.smallest = self._zeros(1, real)
+        self.u = self._zeros(self.count, vec3)
+        self._increment = [self.u, self.nodes, weights.reach, weights.weight, weights.slope]
+        self.resist()
+
+    @staticmethod
+    def _zeros(shape, dtype):
+        return wp.zeros(shape, dtype=dtype, device="cpu")
+
+    @staticmethod
+    def _launch(kernel, dim, *inputs):
+        wp.launch(kernel, dim, inputs=list(inputs), device="cpu")
+
+    def _number(self, background):
+        """Number the nodes to solve for, in the order of the lattice, and look them up for each point."""
+        window, dofs = background.dof_of.shape, background.dof_of
+        corner = wp.vec3i(*(int(c) for c in background.corner))
+        touched = self._zeros(window, wp.int32)
+        self._launch(basis.touch, self.state.count, self.weights.base, self.weights.reach, corner, touched)
+        solved = touched.numpy() > 0
+        solved[solved] = ~background.held[dofs[solved]].all(axis=1)
+        self.count = int(solved.sum())
+        self.dofs = dofs[solved]
+        self.held = background.held[self.dofs]
+        self._at = np.argwhere(solved)
+        self._numbers = np.full(window, OUTSIDE, np.int32)
+        self._numbers[solved] = np.arange(self.count)
+        self.nodes = self._zeros((self.state.count, STENCIL), wp.int32)
+        table = wp.array(self._numbers, dtype=wp.int32, device="cpu")
+        self._launch(basis.look_up, self.state.count, self.weights.base, corner, table, self.nodes)
+
+    def _gather(self):
+        """Mass, velocity and external force of the nodes."""
+        s = self.state
+        mass, momentum, load = (
+            self._zeros(self.count, real),
+            self._zeros(self.count, vec3),
+            self._zeros(self.count, vec3),
+        )
+        nodal = (mass, momentum, load)
+        self._launch(assembly.p2g, s.count, self.nodes, *self._stencils, real(s.mass), s.v, s.load, *nodal)
+        self.node_mass, self.load = mass.numpy(), load.numpy()
+        self.velocity = momentum.numpy() / self.node_mass[:, None]
+        self.velocity[self.held] = 0.0
+        self.load[self.held] = 0.0
+
+    def _tie_weak_nodes(self):
+        """Triples of neighbours in a row, one of them weak, that the ghost penalty acts on."""
+        weak = np.zeros(self._numbers.shape, bool)
+        there = self._numbers != OUTSIDE
+        weak[there] = self.node_mass < WEAK * 8 * self.state.mass  # a bulk node has the mass of eight points
+        triples, strides = [np.empty((0, 3), np.int32)], [np.empty(0, np.int32)]
+        for axis, stride in enumerate(STRIDES):
+            size = self._numbers.shape[axis]
+            rows = [np.arange(size - 2) + shift for shift in range(3)]
+            number = np.stack([np.take(self._numbers, row, axis) for row in rows], axis=-1)
+            some_weak = np.any([np.take(weak, row, axis) for row in rows], axis=0)
+            found = number[(number != OUTSIDE).all(axis=-1) & some_weak]
+            triples.append(found)
+            strides.append(np.full(len(found), stride, np.int32))
+        self.triples = wp.array(np.concatenate(triples), dtype=wp.vec3i, device="cpu")
+        self.strides = wp.array(np.concatenate(strides), dtype=wp.int32, device="cpu")
+
+    def _couple(self):
+        """Block rows of the matrix: nodes that share a point or a triple."""
+        marks = self._zeros((self.count, NEIGHBOURS), wp.int32)
+        self._launch(basis.couple, self.state.count, self.nodes, self.weights.reach, marks)
+        coupled, triples, strides = marks.numpy(), self.triples.numpy(), self.strides.numpy()
+        for a in range(3):
+            for b in range(3):
+                coupled[triples[:, a], SELF + (b - a) * strides] = 1
+        rows, slots = np.nonzero(coupled)
+        offset = np.stack(np.unravel_index(slots, (5, 5, 5)), axis=1) - 2
+        self.indices = self._numbers[tuple((self._at[rows] + offset).T)]
+        self.indptr = np.zeros(self.count + 1, np.int32)
+        np.cumsum(coupled.sum(axis=1), out=self.indptr[1:])
+        coupled[rows, slots] = np.arange(len(rows))
+        self.place = marks
+        self._rows = wp.array(rows.astype(np.int32), dtype=wp.int32, device="cpu")
+        self._columns = wp.array(self.indices, dtype=wp.int32, device="cpu")
+        self._held = wp.array(self.held.astype(float), dtype=vec3, device="cpu")
+        self._values = self._zeros(len(rows), mat33)
+
+    def resist(
+        self,
+        drag: float = 0.0,
+        ghost: float = 0.0,
+        viscous: float = 0.0,
+        dt: float = float("inf"),
+        momentum: float = 0.0,
+    ):
+        """Resist the increment: `drag` [-] times M u/dt^2, with the share `momentum` [-] of the velocity carried over;
+        ghost springs of `ghost` [N/m]; `viscous` [-], the share of the trial deviator that outlives the return map.
+        """
+        self.dt, self.momentum, self.viscous = dt, momentum, real(viscous)
+        self.inertia = drag * self.node_mass / dt**2
+        self._inertia = wp.array(self.inertia, dtype=real, device="cpu")
+        self.carried = momentum * dt * self.velocity if momentum else 0.0
+        self.ghost_stiffness = real(ghost)
+
+    def residual(self, u: np.ndarray) -> np.ndarray:
+        """Out-of-balance force (count, 3) [N] at the increment `u` (count, 3) [m]; REFUSED where a point collapses.
+
+        Leaves its static part, without drag and ghost penalty, in `unbalanced`.
+        """
+        s, w = self.state, self.weights
+        self.u.numpy()[:] = u
+        self.force.zero_()
+        self.smallest.fill_(1.0)
+        strained = (s.b_e, s.opening, self.material, self.viscous, self.flux, self.smallest)
+        self._launch(points.stress_flux, s.count, *self._increment, *strained)
+        if not self.smallest.numpy()[0] > SMALLEST_STRETCH:
+            return np.full((self.count, 3), REFUSED)
+        flux = (self.flux, real(s.volume), self.force)
+        self._launch(assembly.internal_force, s.count, self.nodes, *self._stencils, w.slope, *flux)
+        self.unbalanced = self.force.numpy() - self.load
+        self.unbalanced[self.held] = 0.0
+        self._launch(ghost.ghost_force, len(self.triples), self.triples, self.ghost_stiffness, self.u, self.force)
+        residual = self.force.numpy() - self.load + self.inertia[:, None] * (u - self.carried)
+        residual[self.held] = 0.0
+        return residual
+
+    def tangent(self, u: np.ndarray, blend: float = 0.0) -> np.ndarray:
+        """Blocks (blocks, 3, 3) [N/m] of dR/du at `u`, exact for `blend` = 0 (see `tangent_flux`)."""
+        s, w = self.state, self.weights
+        self.u.numpy()[:] = u
+        self._values.zero_()
+        moduli = (s.b_e, s.opening, self.material, self.viscous, real(blend), self.tangents)
+        self._launch(points.tangent_flux, s.count, *self._increment, *moduli)
+        blocks = (self.tangents, real(s.volume), self.place, self._values)
+        self._launch(assembly.stiffness, s.count, self.nodes, *self._stencils, w.slope, *blocks)
+        ties = (self.triples, self.ghost_stiffness, self.strides, self.place, self._values)
+        self._launch(ghost.ghost_stiffness, len(self.triples), *ties)
+        self._launch(assembly.add_diagonal, self.count, self.place, self._inertia, self._values)
+        values = self._values.numpy()
+        scale = real(np.abs(values[self.place.numpy()[:, SELF], 0, 0]).mean())
+        self._launch(assembly.hold, len(values), self._held, self._rows, self._columns, scale, self._values)
+        return values
+
+    def commit(self, u: np.ndarray):
+        """Accept the increment: points move and take their returned state; velocities follow FLIP."""
+        s = self.state
+        self.u.numpy()[:] = u
+        changed = (s.x, s.b_e, s.jacobian, s.opening, s.eps_p_eqv, s.moved)
+        self._launch(points.commit, s.count, *self._increment, self.material, self.viscous, *changed)
+        if not self.inertia.any():
+            return
+        gained = wp.array(u / self.dt - self.momentum * self.velocity, dtype=vec3, device="cpu")
+        self._launch(assembly.g2p, s.count, self.nodes, *self._stencils, gained, real(self.momentum), s.v)
