@@ -17,7 +17,7 @@ REST_UNBALANCED = 1e-2  # out-of-balance over external force, below which the bo
 REST_DRIFT = 1e-3  # relative advance of the front (R_995) over sqrt(h0/g) of pseudo-time, likewise
 REST_STEPS = 3  # steps over which that advance is taken at least
 LONGEST_FIRST = 0.1  # first step, over the step's cap
-QUICK, SLOW = 6, 12  # Newton iterations: at most QUICK and the step may grow fast, more than SLOW and it shrinks
+WANTED_ITERATIONS = 9  # of Newton in a step: fewer and the next one is longer, more and it is shorter
 SHORTEST = 1e-4  # step over its cap, below which a run that still fails is given up
 
 
@@ -33,7 +33,7 @@ class Regularisation:
 
     drag: float = 1.0
     momentum: float = 0.0
-    ghost: float = 1.0
+    ghost: float = 0.4
     viscosity: float = 0.1
     reach: float = 0.3
     cap: float = 3.0
@@ -63,9 +63,7 @@ class StepLength:
 
     def accepted(self, moved: float, iterations: int):
         """A step succeeded in which points moved `moved` [m] (a high quantile)."""
-        growth = 2.0 if iterations <= QUICK else 1.4
-        if iterations > SLOW:
-            growth = 0.8
+        growth = min(max(math.sqrt(WANTED_ITERATIONS / max(iterations, 1)), 0.7), 1.5)
         wanted = self.reach / moved if moved > 0 else growth
         self.dt = min(self.dt * min(max(wanted, 0.5), growth), self.longest)
 
