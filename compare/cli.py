@@ -45,14 +45,9 @@ def run(
     from mpm.config import load_scene
 
     validated = load_scene(scene, set_)
-    if mode is Mode.implicit:
-        import implicit._dolfinx  # noqa: F401  says how to get dolfinx where it is missing
-
-        raise SceneError("--mode implicit: this version has no implicit solver yet; use --mode explicit")
-    from explicit.run import run as run_explicit
-
+    solver = _runs_of(mode)
     directory = directory or Path("runs") / f"{validated.name}-{mode.value}"
-    _follow(lambda: run_explicit(validated, directory, device, force, Monitor()), directory)
+    _follow(directory, solver.run, validated, directory, device, force, Monitor())
 
 
 @app.command()
@@ -61,9 +56,10 @@ def resume(
     device: Annotated[str | None, typer.Option(help="default: the device the run was started on")] = None,
 ):
     """Go on with a run from its last checkpoint."""
-    from explicit.run import resume as resume_explicit
+    from mpm.results import Results
 
-    _follow(lambda: resume_explicit(directory, device, Monitor()), directory)
+    solver = _runs_of(Mode(Results.open(directory).provenance.get("mode", Mode.explicit)))
+    _follow(directory, solver.resume, directory, device, Monitor())
 
 
 @app.command()
@@ -131,25 +127,39 @@ def info():
 
 @app.command()
 def demo(directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path("runs/demo")):
-    """A small damped quarter column, with pictures; replaces the last demo."""
-    from explicit.run import run as run_explicit
+    """A small quarter column by both solvers, with pictures; replaces the last demo."""
     from mpm.config import load_scene
 
-    _follow(lambda: run_explicit(load_scene("column_small"), directory, force=True, monitor=Monitor()), directory)
-    for path in _draw(directory):
-        out.print(str(path))
+    scene, run_outs = load_scene("column_small"), []
+    for mode in Mode:
+        folder = directory / mode.value
+        summary = _follow(folder, _runs_of(mode).run, scene, folder, force=True, monitor=Monitor())
+        for path in _draw(folder):
+            out.print(str(path))
+        run_outs.append(f"{mode.value} {summary['R_995']:.4f}")
+    out.print(f"run-out R_995: {', '.join(run_outs)}; quasistatic theory (Eq. 4) {summary['eq4']:.4f}")
 
 
-def _follow(solve, directory: Path):
-    """Solve, and report the summary, or where Ctrl-C stopped it."""
+def _runs_of(mode: Mode):
+    """The module with `run` and `resume` of that solver; SceneError where what it needs is not installed."""
+    if mode is Mode.implicit:
+        import implicit.run as runs
+    else:
+        import explicit.run as runs
+    return runs
+
+
+def _follow(folder: Path, solve, *arguments, **named) -> dict:
+    """Call `solve`, report the summary of the run in `folder` and return it, or say where Ctrl-C stopped it."""
     try:
-        summary = solve()
+        summary = solve(*arguments, **named)
     except KeyboardInterrupt as stop:  # not left to `main`: typer turns it into a bare exit code
         err.print(str(stop) or "interrupted")
         raise typer.Exit(INTERRUPTED) from None
     out.print(summary_table(summary))
-    vtk = "; ParaView opens vtk/run.pvd" if (directory / "vtk" / "run.pvd").is_file() else ""
-    out.print(f"results in {directory} (`repose plot {directory}` draws them{vtk})")
+    vtk = "; ParaView opens vtk/run.pvd" if (folder / "vtk" / "run.pvd").is_file() else ""
+    out.print(f"results in {folder} (`repose plot {folder}` draws them{vtk})")
+    return summary
 
 
 def _draw(directory: Path) -> list[Path]:

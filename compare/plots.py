@@ -14,6 +14,7 @@ from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 from scipy.spatial import ConvexHull
 
+from implicit.relaxation import REST_UNBALANCED
 from mpm.analytic import eq4, quasistatic_profile
 from mpm.errors import SceneError
 from mpm.results import Results
@@ -109,24 +110,33 @@ def plot_profile(results: Results, path) -> Path:
 
 
 def plot_history(results: Results, path) -> Path:
-    """Run-out measures and energies over time. Raises SceneError where no history was written."""
+    """Run-out measures over time, beside them energies (explicit) or balance and Newton's iterations (implicit).
+
+    Raises SceneError where no history was written.
+    """
     history, scene = results.history(), results.scene
     if not history:
         raise SceneError(f"{results.directory} has no history to plot")
     with rc_context(STYLE):
         figure = _figure(11.0, 4.4)
         run_out = figure.add_axes((0.065, 0.14, 0.37, 0.76))
-        energy = figure.add_axes((0.52, 0.14, 0.30, 0.76))
+        beside = figure.add_axes((0.52, 0.14, 0.30, 0.76))
         _draw_columns(run_out, history, RUN_OUTS)
         if _has_eq4(scene):
             limit = eq4(scene["geometry"]["aspect_ratio"], _tan_theta(scene))
             run_out.axhline(limit, color=BLACK, linestyle="--", label=EQ4_LABEL)
-        run_out.set(xlabel="time [s]", ylabel="run-out $(r - r_0)/r_0$ [-]")
+        if "unbalanced" in history:
+            _draw_balance(beside, history)
+            time = "pseudo-time [s]"
+        else:
+            _draw_columns(beside, history, ENERGIES)
+            beside.set(ylabel="energy [J]")
+            beside.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+            time = "time [s]"
+        beside.set(xlabel=time)
+        run_out.set(xlabel=time, ylabel="run-out $(r - r_0)/r_0$ [-]")
         run_out.set_title(scene["name"], loc="left", weight="bold")
         run_out.legend(frameon=False)
-        _draw_columns(energy, history, ENERGIES)
-        energy.set(xlabel="time [s]", ylabel="energy [J]")
-        energy.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
         return _save(figure, path)
 
 
@@ -190,6 +200,24 @@ def _draw_columns(axes, history, columns):
     for name, label, colour, style in columns:
         if name in history:
             axes.plot(history["time"], history[name], style, color=colour, label=label)
+
+
+def _draw_balance(axes, history):
+    """Out-of-balance over external forces, with the bound for rest, and Newton's iterations of each step."""
+    axes.semilogy(history["time"], history["unbalanced"], color=BLUE, label="out-of-balance")
+    axes.axhline(REST_UNBALANCED, color=BLACK, linestyle="--", label="bound for rest")
+    low, high = axes.get_ylim()  # a decade about the bound at least: within one, an axis has hardly a label
+    axes.set_ylim(min(low, 0.1 * REST_UNBALANCED), max(high, 10 * REST_UNBALANCED))
+    axes.set(ylabel="out-of-balance / external forces [-]")
+    counts = axes.twinx()
+    counts.plot(history["time"][1:], history["newton"][1:], ".", color=ORANGE, label="Newton iterations")
+    counts.set(ylabel="Newton iterations of the step [-]", ylim=(0, None))
+    counts.spines.right.set_visible(True)
+    counts.locator_params(axis="y", integer=True)
+    counts.grid(False)
+    lines = [*axes.lines, *counts.lines]
+    labels = [line.get_label() for line in lines]
+    axes.legend(lines, labels, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, columnspacing=1.0)
 
 
 def _radial_profile(snapshot, cell, half_length, sector):

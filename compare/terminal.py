@@ -7,6 +7,11 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 PLAIN_EVERY = 10.0  # seconds between progress lines when the output is not a terminal
+# How far a run is, in the unit of its `progress`.
+PROGRESS = {
+    "explicit": "t = {task.completed:.2f} of at most {task.total:.3g} s",
+    "implicit": "step {task.completed:.0f} of at most {task.total:.0f}",
+}
 
 # No markup: "[s]" is a unit here, and a path may hold brackets; no emoji: nor is ":s:" one.
 PLAIN = {"highlight": False, "soft_wrap": True, "markup": False, "emoji": False}
@@ -15,13 +20,18 @@ err = Console(stderr=True, **PLAIN)
 
 
 def banner(run) -> str:
-    """Points, nodes, dt, precision, device and memory of a run about to start."""
-    solver, scene = run.solver, run.body.scene
+    """Points, nodes or unknowns, dt, precision, device and memory of a run about to start."""
+    solver = run.solver
+    if run.mode == "explicit":
+        each, nodes = f" ({solver.bytes_per_point} bytes each)", f"{solver.grid.stored:,} nodes"
+        memory = f"{solver.bytes / 1e6:.1f} MB of state"
+    else:
+        each, nodes = "", f"{3 * solver.nodes_solved_start:,} unknowns"
+        memory = f"{run.memory_mb():.0f} MB of memory"
     where = run.results.provenance["device_name"]
     return (
-        f"{scene.name}: explicit, {solver.points:,} points ({solver.bytes_per_point} bytes each), "
-        f"{solver.grid.stored:,} nodes, dt = {solver.time_step:.3g} s, {scene.explicit.precision}, "
-        f"{solver.device.alias} ({where}), {solver.bytes / 1e6:.1f} MB of state, set up in {run.setup_s:.1f} s"
+        f"{run.body.scene.name}: {run.mode}, {solver.points:,} points{each}, {nodes}, dt = {solver.time_step:.3g} s, "
+        f"{run.precision}, {run.device} ({where}), {memory}, set up in {run.setup_s:.1f} s"
     )
 
 
@@ -37,22 +47,28 @@ class Monitor:
         if not out.is_terminal:
             return
         columns = (
-            TextColumn("t = {task.completed:.2f} of at most {task.total:.3g} s"),
+            TextColumn(PROGRESS[run.mode]),
             BarColumn(),
             TextColumn("{task.fields[front]}"),
             TimeRemainingColumn(),
         )
         self.progress = Progress(*columns, console=out, transient=True)
-        self.task = self.progress.add_task("", total=run.end, completed=run.solver.time, front="")
+        done, whole = run.progress
+        self.task = self.progress.add_task("", total=whole, completed=done, front="")
         self.progress.start()
 
     def row(self, run, row):
-        front = f"run-out {row['R_995']:.3f} (99.5 % of mass), {row['R_max']:.3f} (farthest)"
+        done, whole = run.progress
+        unbalanced = f", unbalanced {row['unbalanced']:.1e}" if run.mode == "implicit" else ""
         if self.progress:  # in short, so that the bar has room on 80 columns
-            self.progress.update(self.task, completed=row["time"], front=f"run-out {row['R_995']:.3f}")
+            self.progress.update(self.task, completed=done, front=f"run-out {row['R_995']:.3f}{unbalanced}")
         elif time.monotonic() - self.last_line > PLAIN_EVERY:
             self.last_line = time.monotonic()
-            out.print(f"t = {row['time']:.3f} s of at most {run.end:.3g} s, step {row['step']}, {front}")
+            so_far = f"t = {row['time']:.3f} s of at most {whole:.3g} s, step {row['step']}"
+            if run.mode == "implicit":
+                so_far = f"step {row['step']} of at most {whole}, pseudo-time {row['time']:.3f} s"
+            front = f"run-out {row['R_995']:.3f} (99.5 % of mass), {row['R_max']:.3f} (farthest)"
+            out.print(f"{so_far}, {front}{unbalanced}")
 
     def stop(self, _run):
         if self.progress:
@@ -69,15 +85,18 @@ def summary_table(summary: dict) -> Table:
         "eq4": "quasistatic theory, Eq. 4",
         "eq45": "dynamic theory, Eq. 5 in Eq. 4",
         "h_inf": "final height h_inf [m]",
-        "sim_time": "simulated time [s]",
+        "sim_time": "pseudo-time [s]" if summary["mode"] == "implicit" else "simulated time [s]",
         "stop_reason": "stopped by",
         "grid_ke_ratio": "grid kinetic energy / its peak",
+        "unbalanced_ratio": "out-of-balance / external forces",
+        "newton_iterations": "Newton iterations",
+        "failed_steps": "failed steps",
         "wall_s": "time stepping [s]",
         "point_steps_per_s": "point-steps per second",
         "peak_memory_mb": "peak memory [MB]",
     }
     for key, text in words.items():
-        value = summary[key]
+        value = summary.get(key)  # some are one solver's, others a column's
         if value is not None:
             table.add_row(text, f"{value:,.4g}" if isinstance(value, float) else str(value))
     return table

@@ -97,6 +97,7 @@ class ImplicitSolver:
         """Balance gravity, internal forces and drag over `time_step`."""
         self.system = system = self._new_system()
         weight = float(np.linalg.norm(system.load))
+        wanted = self.length.dt
         while True:
             system.resist(**self.regularisation.of_step(self.body, self.length.dt))
             start = float(np.linalg.norm(system.residual(np.zeros((system.count, 3)))))
@@ -106,7 +107,8 @@ class ImplicitSolver:
                 break
             self.failed_steps += 1
             if not self.length.failed():
-                raise NumericalError(self._stuck(f"at the smallest step, {self.length.dt:.3g} s", weight))
+                tried, self.length.dt = self.length.dt, wanted
+                raise NumericalError(self._stuck(f"at the smallest step, {tried:.3g} s", weight))
         self.time += self.length.dt
         self._accept(outcome.u)
         moved = float(np.quantile(np.linalg.norm(self.state.moved.numpy(), axis=1), MOVED_QUANTILE))

@@ -57,7 +57,8 @@ class System:
         window, dofs = background.dof_of.shape, background.dof_of
         corner = wp.vec3i(*(int(c) for c in background.corner))
         touched = self._zeros(window, wp.int32)
-        self._launch(basis.touch, self.state.count, self.weights.base, self.weights.reach, corner, touched)
+        w = self.weights
+        self._launch(basis.touch, self.state.count, w.base, w.reach, w.weight, corner, touched)
         solved = touched.numpy() > 0
         solved[solved] = ~background.held[dofs[solved]].all(axis=1)
         self.count = int(solved.sum())

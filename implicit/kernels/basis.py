@@ -42,16 +42,18 @@ def weigh(
 def touch(
     base: wp.array(dtype=wp.vec3i),
     reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
     corner: wp.vec3i,
     touched: wp.array3d(dtype=wp.int32),
 ):
-    """Mark the nodes of a window, from node `corner` on, that some point sees."""
+    """Mark the nodes of a window, from node `corner` on, that some point sees by more than round-off."""
     p = wp.tid()
-    at, count = base[p] - corner, reach[p]
+    at, count, s = base[p] - corner, reach[p], weight[p]
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
-                touched[at[0] + a, at[1] + b, at[2] + c] = 1
+                if s[0, a] * s[1, b] * s[2, c] > NEGLIGIBLE:
+                    touched[at[0] + a, at[1] + b, at[2] + c] = 1
 
 
 @wp.kernel(module=NAME)

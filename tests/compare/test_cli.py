@@ -3,6 +3,7 @@
 Most calls run `compare.cli.main` in this process; Ctrl-C and a machine without dolfinx need one of their own.
 """
 
+import importlib.util
 import json
 import re
 import signal
@@ -28,6 +29,14 @@ CONTRACT = {
     *("point_steps_per_s", "eq4", "eq45"),
 }
 APT_LINE = "apt-get install --no-install-recommends python3-dolfinx-real python3-petsc4py-real"
+IMPLICIT_CONTRACT = {
+    *(CONTRACT - {"mass_error", "grid_ke_ratio"}),
+    *("newton_iterations", "linear_iterations", "failed_steps", "unbalanced_ratio", "regularisation"),
+}
+needs_dolfinx = pytest.mark.skipif(
+    None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
+    reason="dolfinx or petsc4py is not installed (see ./repose info)",
+)
 PROGRAM = (sys.executable, "-c", "from compare.cli import main; main()")
 
 
@@ -367,17 +376,76 @@ main()
 """
 
 
-@pytest.mark.parametrize("code", [PROGRAM[2], HIDE_DOLFINX], ids=["as it is", "dolfinx hidden"])
-def test_implicit_mode_says_what_it_lacks(tmp_path, code):
-    """In a process of its own: importing dolfinx starts MPI."""
+def test_implicit_mode_without_dolfinx_says_what_it_lacks(tmp_path):
+    """In a process of its own: here dolfinx may be imported already."""
     arguments = ["run", *TINY, "--mode", "implicit"]
-    answer = subprocess.run([sys.executable, "-c", code, *arguments], cwd=tmp_path, capture_output=True, text=True)
+    command = [sys.executable, "-c", HIDE_DOLFINX, *arguments]
+    answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
     assert answer.returncode == 2
     assert answer.stderr.startswith("error: ")
     assert len(answer.stderr.splitlines()) == 1
-    if code == HIDE_DOLFINX:
-        assert APT_LINE in answer.stderr
+    assert APT_LINE in answer.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+# Implicit mode
+
+
+@needs_dolfinx
+def test_implicit_mode_stops_resumes_and_is_drawn_as_the_explicit_one(repose, tmp_path):
+    class Impatient(cli.Monitor):
+        def row(self, run, row):
+            super().row(run, row)
+            if row["step"] == 3:
+                signal.raise_signal(signal.SIGINT)
+
+    settings = ("--set", "implicit.max_steps=6", "--set", "output.every=0.2")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cli, "Monitor", Impatient)
+        answer = repose("run", *COARSE, *settings, "--mode", "implicit")
+    assert answer.code == 130
+    assert re.match(r"column_small: implicit, 208 points, \d+ unknowns, dt = \S+ s, float64, cpu \(.+\), ", answer.out)
+    assert re.search(r"\nstep 1 of at most 6, pseudo-time \S+ s, run-out .+, unbalanced \d\.\de-\d\d\n", answer.out)
+    where = "runs/column_small-implicit"
+    assert re.fullmatch(rf"stopped at t = \S+ s; `repose resume {where}` goes on\n", answer.err)
+
+    answer = repose("resume", where)
+    assert (answer.code, answer.err) == (0, "")
+    for text in ("pseudo-time [s]", "Newton iterations", "failed steps", "external forces", "max_steps"):
+        assert text in answer.out
+    assert "kinetic" not in answer.out
+    folder = tmp_path / where
+    summary = json.loads((folder / "summary.json").read_text())
+    assert set(summary) >= IMPLICIT_CONTRACT
+    assert (summary["mode"], summary["device"], summary["precision"]) == ("implicit", "cpu", "float64")
+    assert (folder / "vtk" / "run.pvd").is_file()
+    assert repose("plot", where).out.split() == [f"{where}/{name}.png" for name in ("morphology", "profile", "history")]
+
+
+@needs_dolfinx
+def test_implicit_mode_refuses_a_gpu(refused, tmp_path):
+    message = refused("run", *COARSE, "--mode", "implicit", "--device", "cuda:0")
+    assert message == "error: --device cuda:0: the implicit solver runs on the CPU\n"
+    assert list(tmp_path.iterdir()) == []
+
+
+@needs_dolfinx
+def test_demo_runs_both_solvers_and_compares_them(repose, tmp_path, monkeypatch):
+    from mpm import config
+
+    short = ["grid.cell=0.25", "explicit.until=0.05", "implicit.max_steps=3"]
+    monkeypatch.setattr(config, "load_scene", lambda name: load_scene(name, short))
+    answer = repose("demo")
+    assert (answer.code, answer.err) == (0, "")
+    run_outs = {}
+    for mode in ("explicit", "implicit"):
+        folder = tmp_path / "runs" / "demo" / mode
+        assert {path.name for path in folder.glob("*.png")} == {"morphology.png", "profile.png", "history.png"}
+        run_outs[mode] = Results.open(folder).summary()["R_995"]
+    explicit, implicit = (f"{mode} {value:.4f}" for mode, value in run_outs.items())
+    expected = f"run-out R_995: {explicit}, {implicit}; quasistatic theory (Eq. 4) 0.3074"
+    assert answer.out.splitlines()[-1] == expected
+    assert repose("demo").code == 0
 
 
 # Exit code 3: the numbers go wrong

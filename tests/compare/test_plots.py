@@ -8,6 +8,7 @@ from matplotlib.image import imread
 
 from compare import plots
 from compare.plots import plot_history, plot_morphology, plot_profile
+from implicit.relaxation import REST_UNBALANCED
 from mpm.analytic import eq4, quasistatic_profile
 from mpm.errors import SceneError
 from mpm.results import Results
@@ -209,6 +210,25 @@ def test_history_shows_run_outs_eq4_and_every_energy(column, tmp_path, monkeypat
     np.testing.assert_array_equal(shown["residual"], history["residual"])
     assert len(shown) == 7
     assert (run_out.get_xlabel(), energy.get_ylabel()) == ("time [s]", "energy [J]")
+
+
+def test_history_of_an_implicit_run_shows_balance_and_iterations(tmp_path, monkeypatch):
+    x0 = block((8, 8, 8), CELL / 2)
+    rows = [
+        {"time": t, "R_max": 0.6 * t, "R_995": 0.5 * t, "unbalanced": 0.1**t if t else np.inf, "newton": 2 * t}
+        for t in range(4)
+    ]
+    run = store(tmp_path / "run", scene(), x0, x0, rows)
+    assert colours(plot_history(run, tmp_path / "picture.png"))[0] > 50
+    figures = drawn(monkeypatch)
+    plot_history(run, tmp_path / "picture.png")
+    run_out, balance, counts = figures[0].axes
+    np.testing.assert_allclose(line(run_out, "farthest point")[:, 1], [0.0, 0.6, 1.2, 1.8])
+    np.testing.assert_allclose(line(balance, "out-of-balance")[1:, 1], [0.1, 0.01, 0.001])
+    assert line(balance, "bound for rest")[0, 1] == REST_UNBALANCED
+    np.testing.assert_array_equal(line(counts, "Newton iterations"), [[1, 2], [2, 4], [3, 6]])
+    assert balance.get_yscale() == "log"
+    assert (run_out.get_xlabel(), balance.get_xlabel()) == ("pseudo-time [s]", "pseudo-time [s]")
 
 
 @pytest.mark.parametrize("plot", [plot_morphology, plot_profile, plot_history])

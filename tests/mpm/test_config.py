@@ -112,7 +112,19 @@ NUMBERS = [
 
 def test_the_walk_over_the_sections_misses_none():
     names = {model.__name__ for model in sections()}
-    assert names == {"Scene", "Column", "Box", "Walls", "Mesh", "Grid", "Material", "Loads", "Explicit", "Output"}
+    assert names == {
+        "Scene",
+        "Column",
+        "Box",
+        "Walls",
+        "Mesh",
+        "Grid",
+        "Material",
+        "Loads",
+        "Explicit",
+        "Implicit",
+        "Output",
+    }
     assert len(NUMBERS) >= 18
 
 

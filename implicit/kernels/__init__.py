@@ -1,0 +1,1 @@
+"""Warp kernels of the implicit step, one file per idea."""

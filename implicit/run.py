@@ -1,0 +1,149 @@
+"""Runs of the implicit solver: a history row a step, rest judged by the balance of forces and the front."""
+
+import time
+from dataclasses import asdict
+
+import numpy as np
+
+from implicit.relaxation import Regularisation, Rest
+from implicit.solver import ImplicitSolver
+from mpm.config import Scene
+from mpm.devices import start_warp
+from mpm.errors import NumericalError, SceneError
+from mpm.provenance import provenance
+from mpm.results import Results
+from mpm.running import Run, body_of, reopen
+from mpm.runout import front
+from mpm.scene import Body, build
+
+KEPT = "regularisation_"  # before the names of `Regularisation` in a run's provenance
+
+
+def run(
+    scene: Scene, directory, device="cpu", force=False, monitor=None, regularisation: Regularisation = Regularisation()
+) -> dict:
+    """Run a scene into `directory`; return the summary.
+
+    `monitor`, if given, has `start(run)`, `row(run, row)` and `stop(run)`, called with this run's `ImplicitRun`.
+    Raises SceneError (bad input, a scene or device that the solver cannot run, folder in use), NumericalError (the
+    message names the last checkpoint), Interrupted (Ctrl-C, after a checkpoint).
+    """
+    started = time.perf_counter()
+    _start(device)
+    body = build(scene)
+    solver = ImplicitSolver(body, regularisation)  # before the folder: it refuses some scenes
+    described = provenance(ImplicitRun.device, ImplicitRun.precision)
+    described |= {"mode": ImplicitRun.mode} | {KEPT + name: value for name, value in asdict(regularisation).items()}
+    this = ImplicitRun(body, Results.create(directory, scene.model_dump(mode="json"), described, force), solver)
+    this.begin()
+    return this.go(started, monitor)
+
+
+def resume(directory, device=None, monitor=None) -> dict:
+    """Go on with a run from its checkpoint, with the regularisation it was started with; return the summary.
+
+    The end is bitwise that of an uninterrupted run. Raises as `run`, and SceneError when there is no checkpoint or
+    the run has ended.
+    """
+    started = time.perf_counter()
+    results = reopen(directory)
+    _start(device or ImplicitRun.device)
+    kept = {name: value for name, value in results.provenance.items() if name.startswith(KEPT)}
+    regularisation = Regularisation(**{name.removeprefix(KEPT): value for name, value in kept.items()})
+    body = body_of(results)
+    this = ImplicitRun(body, results, ImplicitSolver(body, regularisation))
+    this.restore(results.read_checkpoint())
+    return this.go(started, monitor)
+
+
+def _start(device: str):
+    """Raises SceneError for any device but the CPU."""
+    if device != ImplicitRun.device:
+        raise SceneError(f"--device {device}: the implicit solver runs on the CPU")
+    start_warp()
+
+
+class ImplicitRun(Run):
+    """A run of the implicit solver: a history row after each step."""
+
+    mode, device, precision = "implicit", "cpu", "float64"
+
+    def __init__(self, body: Body, results: Results, solver: ImplicitSolver):
+        super().__init__(body, results, solver)
+        self.rest = Rest(body.time_scale)
+        self.max_steps = body.scene.implicit.max_steps
+
+    @property
+    def x(self) -> np.ndarray:
+        """Positions (n, 3) [m] of the points."""
+        return self.solver.x
+
+    @property
+    def progress(self) -> tuple[float, float]:
+        """Steps so far and at most; rest usually comes earlier."""
+        return self.solver.steps, self.max_steps
+
+    def first_row(self):
+        """The history row before any step."""
+        self._write_row(newton=0, failed=0)
+
+    def advance(self) -> dict[str, float]:
+        """One step and its history row, a snapshot and a checkpoint if due. Sets `stop_reason` at the end."""
+        solver = self.solver
+        newton, failed = solver.newton_iterations, solver.failed_steps
+        solver.advance()
+        row = self._write_row(solver.newton_iterations - newton, solver.failed_steps - failed)
+        loaded = solver.load_share == 1.0
+        if loaded and self.rest(solver.time, row["R_995"], solver.unbalanced_ratio):
+            self.stop_reason = "rest"
+        elif solver.steps >= self.max_steps:
+            self.stop_reason = "max_steps"
+        self.output_when_due()
+        return row
+
+    def _write_row(self, newton: int, failed: int) -> dict[str, float]:
+        """`newton`: iterations of the step; `failed`: tries in it that Newton could not solve."""
+        solver = self.solver
+        row = {"time": solver.time, "step": solver.steps, "dt": solver.time_step}
+        row |= front(self.x, self.body.measure)
+        row |= {"unbalanced": solver.unbalanced_ratio, "newton": newton, "failed": failed}
+        self.add_row(row)
+        return row
+
+    def field_makers(self) -> dict:
+        """For each of the solver's point fields, a function that gives it."""
+        solver, points = self.solver, self.solver.state
+        makers = {
+            "displacement": lambda: self.x - self.body.x,
+            "velocity": points.v.numpy,
+            "stress": lambda: points.sigma(solver.material),
+            "pressure": lambda: -points.sigma(solver.material)[:, :3].mean(axis=1),
+            "volume": lambda: points.jacobian.numpy() * points.volume,
+        }
+        if self.body.constants.plastic:
+            makers["eps_p_eqv"] = points.eps_p_eqv.numpy
+        return makers
+
+    def state(self) -> dict:
+        """What a checkpoint holds beside what every run has."""
+        return self.solver.state_to_save() | {"recent": np.array(self.rest.recent).reshape(-1, 2)}
+
+    def restore(self, state: dict):
+        """Take over a checkpoint, and drop outputs written after it."""
+        super().restore(state)
+        self.rest.recent = [tuple(row) for row in state["recent"]]
+
+    def state_is_whole(self, _error: NumericalError) -> bool:
+        """Points move only once Newton has succeeded: finite positions are those of the last good step."""
+        return bool(np.isfinite(self.x).all())
+
+    def figures(self) -> dict:
+        """What the implicit solver adds to the summary."""
+        solver = self.solver
+        names = ("newton_iterations", "linear_iterations", "failed_steps", "unbalanced_ratio")
+        return {
+            **{name: getattr(solver, name) for name in names},
+            "regularisation": asdict(solver.regularisation),
+            "nodes_stored_start": solver.nodes_solved_start,
+            "nodes_stored_max": solver.nodes_solved_max,
+        }

@@ -1,0 +1,223 @@
+"""What every run of a solver shares: outputs when they are due, checkpoints, Ctrl-C, how it ends and its summary."""
+
+import signal
+import time
+from contextlib import contextmanager, suppress
+
+import numpy as np
+
+from mpm.config import parse_scene
+from mpm.errors import NumericalError, SceneError
+from mpm.geometry import Seeds
+from mpm.provenance import peak_memory_mb
+from mpm.results import Results
+from mpm.runout import run_out
+from mpm.scene import Body, build, theory
+from mpm.vtk import write_vtk
+
+
+class Interrupted(KeyboardInterrupt):
+    """The user asked the run to stop; a checkpoint was saved."""
+
+
+def reopen(directory) -> Results:
+    """The results of a run that can go on. Raises SceneError where there is no checkpoint or the run has ended."""
+    results = Results.open(directory)
+    if not results.has_checkpoint:
+        raise SceneError(f"{directory}: no checkpoint to resume from")
+    if (ended := results.summary()) is not None:
+        raise SceneError(f"{directory}: this run ended at t = {ended['sim_time']:.4g} s ({ended['stop_reason']})")
+    return results
+
+
+def body_of(results: Results) -> Body:
+    """The body that a run started from, without its mesh file, which may be gone by now."""
+    seeds = Seeds(results.read_static("x0"), *results.read_static("extent"))
+    return build(parse_scene(results.scene), seeds)
+
+
+class Run:
+    """One run: a solver, a results folder, and when the next output is due.
+
+    `solver` has `time` [s], `steps`, `points` and `restore(state)`. A subclass gives the solver's `mode`, the
+    `device` (Warp's alias) and `precision` it runs with, and the methods below that only raise NotImplementedError.
+    """
+
+    mode: str
+    device: str
+    precision: str
+
+    def __init__(self, body: Body, results: Results, solver):
+        self.body, self.results, self.solver = body, results, solver
+        self.every = body.scene.output.every
+        self.snapshots = 0
+        self.wall_before = self.setup_s = self.saved_time = 0.0
+        self.stepping_since = None
+        self.unsaved: list[dict[str, float]] = []  # history rows since the last checkpoint
+        self.stop_reason = None
+
+    @property
+    def x(self) -> np.ndarray:
+        """Positions (n, 3) [m] of the points."""
+        raise NotImplementedError
+
+    @property
+    def progress(self) -> tuple[float, float]:
+        """How far the run is, and where it ends at the latest; in the unit that suits the solver."""
+        raise NotImplementedError
+
+    def advance(self) -> dict[str, float] | None:
+        """A batch of steps and whatever output is due; the history row, if one was. Sets `stop_reason` at the end."""
+        raise NotImplementedError
+
+    def first_row(self):
+        """The history row before any step."""
+        raise NotImplementedError
+
+    def field_makers(self) -> dict:
+        """For each of the solver's point fields (see `mpm.config.FIELDS`), a function that gives it."""
+        raise NotImplementedError
+
+    def state(self) -> dict:
+        """What a checkpoint holds beside what every run has."""
+        raise NotImplementedError
+
+    def state_is_whole(self, error: NumericalError) -> bool:
+        """Whether the solver's state is still that before the step that raised `error`, and worth a checkpoint."""
+        raise NotImplementedError
+
+    def figures(self) -> dict:
+        """What the solver adds to the summary."""
+        raise NotImplementedError
+
+    def begin(self):
+        """The body's initial shape, first history row, snapshot and checkpoint, before any step."""
+        self.results.write_static("x0", self.body.x)
+        self.results.write_static("extent", np.array([self.body.measure.reference, self.body.height]))
+        self.first_row()
+        self.write_snapshot()
+        self.save()
+
+    def restore(self, state: dict):
+        """Take over a checkpoint, and drop outputs written after it."""
+        self.solver.restore(state)
+        self.snapshots, self.wall_before = state["snapshots"], state["wall_before"]
+        self.saved_time = self.solver.time
+        self.results.truncate_after(self.saved_time)
+
+    def go(self, started: float, monitor) -> dict:
+        """Step until the run ends, Ctrl-C or divergence; write the summary and return it.
+
+        `started`: `time.perf_counter()` when set-up began. Raises NumericalError, whose message names the last
+        checkpoint, and Interrupted, after a checkpoint.
+        """
+        self.setup_s = time.perf_counter() - started
+        self.stepping_since = time.perf_counter()
+        if monitor:
+            monitor.start(self)
+        try:
+            with _deferred_interrupt() as interrupt:
+                self._loop(interrupt, monitor)
+                summary = self.summary()
+                if self.body.scene.output.vtk:
+                    write_vtk(self.results)
+                self.results.finish(summary)
+        except NumericalError as error:
+            if self.state_is_whole(error):
+                self.save()
+            saved = self.results.directory / "checkpoint.h5"
+            raise NumericalError(f"{error}\nlast good state: t = {self.saved_time:.6g} s in {saved}") from None
+        finally:
+            if monitor:
+                monitor.stop(self)
+        return summary
+
+    def _loop(self, interrupt, monitor):
+        while self.stop_reason is None:
+            row = self.advance()
+            if row and monitor:
+                monitor.row(self, row)
+            if interrupt.asked and not self.stop_reason:
+                self.save()
+                where = self.results.directory
+                raise Interrupted(f"stopped at t = {self.solver.time:.6g} s; `repose resume {where}` goes on")
+
+    def add_row(self, row: dict[str, float]):
+        """A history row, written with the next checkpoint."""
+        self.unsaved.append(row)
+        self.last_row = row
+
+    def output_when_due(self):
+        """A snapshot and a checkpoint where the next one is due, and at the end of the run."""
+        if self.solver.time >= self.snapshots * self.every or self.stop_reason:
+            self.write_snapshot()
+            self.save()
+
+    def write_snapshot(self):
+        """Positions and the fields that the scene asks for."""
+        makers = self.field_makers()
+        fields = {"x": self.x} | {name: makers[name]() for name in self.body.scene.output.fields}
+        # Single precision is ample for pictures and metrics and halves the file; restarts use the checkpoint.
+        fields = {name: value.astype(np.float32) for name, value in fields.items()}
+        self.results.write_snapshot(self.solver.time, self.solver.steps, fields)
+        self.snapshots = int(self.solver.time / self.every + 1e-9) + 1
+
+    def save(self):
+        """History rows and a checkpoint; a restart regenerates what comes after."""
+        if self.unsaved:
+            self.results.append_history(self.unsaved)
+            self.unsaved = []
+        self.saved_time = self.solver.time
+        self.results.write_checkpoint(self.state() | {"snapshots": self.snapshots, "wall_before": self._wall()})
+
+    def _wall(self) -> float:
+        since = self.stepping_since
+        return self.wall_before + (time.perf_counter() - since if since else 0.0)
+
+    def summary(self) -> dict:
+        """What `summary.json` holds; run-outs are (r - r0)/r0 (see `mpm.runout`), lengths in m, times in s."""
+        solver, scene, wall = self.solver, self.body.scene, self._wall()
+        return {
+            "mode": self.mode,
+            "scene": scene.name,
+            "points": solver.points,
+            "cells_per_radius": self.body.measure.reference / scene.grid.cell,
+            "precision": self.precision,
+            "device": self.device,
+            "steps": solver.steps,
+            "sim_time": solver.time,
+            "wall_s": wall,
+            "setup_s": self.setup_s,
+            "stop_reason": self.stop_reason,
+            **run_out(self.x, self.body.measure),
+            "peak_memory_mb": self.memory_mb(),
+            "point_steps_per_s": solver.points * solver.steps / wall,
+            **theory(scene),
+            **self.figures(),
+        }
+
+    def memory_mb(self) -> float:
+        """Peak memory [MB] of the process."""
+        return peak_memory_mb()
+
+
+class _Flag:
+    asked = False
+
+
+@contextmanager
+def _deferred_interrupt():
+    """Turn Ctrl-C into a flag, so that a batch of steps ends before the checkpoint is written."""
+    flag = _Flag()
+
+    def ask(_signal, _frame):
+        flag.asked = True
+
+    previous = None
+    with suppress(ValueError):  # not the main thread: leave signals alone
+        previous = signal.signal(signal.SIGINT, ask)
+    try:
+        yield flag
+    finally:
+        if previous is not None:
+            signal.signal(signal.SIGINT, previous)

@@ -1,0 +1,191 @@
+"""How an implicit run ends and goes on: rest, the most steps, an interrupt, a Newton that fails, a scene refused."""
+
+import importlib.util
+import signal
+
+import numpy as np
+import pytest
+
+from mpm.config import load_scene
+from mpm.errors import NumericalError, SceneError
+from mpm.results import Results
+from mpm.running import Interrupted
+
+if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
+    pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
+
+from implicit import solver
+from implicit.newton import Outcome
+from implicit.relaxation import Regularisation
+from implicit.run import resume, run
+
+COARSE = ["grid.cell=0.25", "output.every=0.2"]
+FIELDS = ["displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume"]
+
+
+def column(*settings):
+    return load_scene("column_small", [*COARSE, *settings])
+
+
+class Impatient:
+    """A monitor that asks the run to stop, as Ctrl-C does, after the row of step `step`."""
+
+    def __init__(self, step):
+        self.step = step
+
+    def start(self, _run):
+        pass
+
+    stop = start
+
+    def row(self, _run, row):
+        if row["step"] == self.step:
+            signal.raise_signal(signal.SIGINT)
+
+
+def test_a_column_comes_to_rest_with_all_its_outputs(tmp_path):
+    summary = run(column(f"output.fields={FIELDS}"), tmp_path)
+    results = Results.open(tmp_path)
+    assert summary == results.summary()
+    assert (summary["mode"], summary["precision"], summary["device"]) == ("implicit", "float64", "cpu")
+    assert (summary["scene"], summary["points"], summary["stop_reason"]) == ("column_small", 208, "rest")
+    assert summary["unbalanced_ratio"] < 1e-2
+    assert 0.2 < summary["R_995"] < 0.6
+    assert summary["eq4"] == pytest.approx(0.3074, abs=1e-4)
+    assert summary["regularisation"]["drag"] == Regularisation().drag
+    assert summary["nodes_stored_max"] > summary["nodes_stored_start"] > 0
+
+    history = results.history()
+    assert list(history["step"]) == list(range(summary["steps"] + 1))
+    assert history["newton"].sum() == summary["newton_iterations"] > 0
+    assert history["failed"].sum() == summary["failed_steps"]
+    assert history["time"][-1] == summary["sim_time"]
+    assert set(history) == {*("time", "step", "dt", "R_max", "R_995", "height", "unbalanced", "newton", "failed")}
+
+    times = results.times
+    assert times[0] == 0.0 and times[-1] == summary["sim_time"]
+    assert set(times) <= set(history["time"]) and np.all(np.diff(times) > 0)
+    last = results.snapshot(-1)
+    assert {*FIELDS, "x"} <= set(last)
+    assert all(last[name].dtype == np.float32 and np.isfinite(last[name]).all() for name in FIELDS)
+    np.testing.assert_allclose(last["pressure"], -last["stress"][:, :3].mean(axis=1), atol=1.0)
+    first = results.snapshot(0)
+    np.testing.assert_allclose(first["volume"], 0.125**3, rtol=0.01)
+    assert first["pressure"].mean() > 1e3  # it starts under its own weight
+    assert results.provenance["mode"] == "implicit"
+
+
+def test_an_interrupted_run_ends_bitwise_as_an_uninterrupted_one(tmp_path):
+    scene = column("implicit.max_steps=14")
+    strong = Regularisation(ghost=0.5)
+    run(scene, tmp_path / "whole", regularisation=strong)
+    with pytest.raises(Interrupted, match=r"stopped at t = \S+ s; `repose resume .*cut` goes on"):
+        run(scene, tmp_path / "cut", monitor=Impatient(5), regularisation=strong)
+    with pytest.raises(Interrupted):
+        resume(tmp_path / "cut", monitor=Impatient(9))
+    assert resume(tmp_path / "cut")["stop_reason"] == "max_steps"
+    assert_same_end(tmp_path)
+
+
+def test_gravity_added_in_steps_goes_on_bitwise_and_settles_as_the_closed_form_says(tmp_path):
+    scene = load_scene("self_weight")
+    summary = run(scene, tmp_path / "whole")
+    settlement = 2000 * 9.81 * 2.0**2 / (2 * 7.86154e6)
+    assert summary["stop_reason"] == "rest" and summary["steps"] > scene.implicit.load_steps == 10
+    assert 2.0 - summary["h_inf"] == pytest.approx(settlement, rel=0.01)
+    with pytest.raises(Interrupted):
+        run(scene, tmp_path / "cut", monitor=Impatient(4))
+    with pytest.raises(Interrupted):  # in the steps after it, of which rest is judged
+        resume(tmp_path / "cut", monitor=Impatient(12))
+    resume(tmp_path / "cut")
+    assert_same_end(tmp_path)
+
+
+def assert_same_end(folder):
+    whole, cut = (Results.open(folder / name) for name in ("whole", "cut"))
+    assert_same(whole.read_checkpoint(), cut.read_checkpoint())
+    assert_same(whole.history(), cut.history())
+    assert_same(whole.snapshot(-1), cut.snapshot(-1))
+    np.testing.assert_array_equal(whole.times, cut.times)
+    own = {"wall_s", "setup_s", "peak_memory_mb", "point_steps_per_s"}
+    ends = [{key: value for key, value in each.summary().items() if key not in own} for each in (whole, cut)]
+    assert ends[0] == ends[1]
+
+
+def assert_same(one, other):
+    assert set(one) == set(other)
+    for name in set(one) - {"wall_before"}:
+        assert np.array_equal(one[name], other[name]), name
+
+
+def test_an_ended_run_is_not_resumed(tmp_path):
+    run(column("implicit.max_steps=1"), tmp_path)
+    with pytest.raises(SceneError, match=r"this run ended at t = .* s \(max_steps\)"):
+        resume(tmp_path)
+
+
+def test_where_newton_fails_the_last_good_state_is_saved_and_named(tmp_path, monkeypatch):
+    fails = []
+
+    def solve(system, *tolerances):
+        if len(fails) < 4:
+            fails.append(None)
+            return real_solve(system, *tolerances)
+        return Outcome(np.zeros((system.count, 3)), False, 25, 100, [1.0, 1.0])
+
+    real_solve = solver.solve
+    monkeypatch.setattr(solver, "solve", solve)
+    with pytest.raises(NumericalError) as caught:
+        run(column("output.every=100"), tmp_path)
+    state = Results.open(tmp_path).read_checkpoint()
+    assert state["time"] > 0 and state["steps"] == 4 and state["failed_steps"] > 1
+    assert np.isfinite(state["x"]).all() and state["v"].any()
+    first, last = str(caught.value).splitlines()
+    assert "Newton failed at the smallest step" in first
+    assert last == f"last good state: t = {state['time']:.6g} s in {tmp_path / 'checkpoint.h5'}"
+    assert list(Results.open(tmp_path).history()["step"]) == [0, 1, 2, 3, 4]
+    assert not (tmp_path / "summary.json").exists()
+
+
+def test_points_that_are_not_finite_are_never_saved(tmp_path, monkeypatch):
+    class Broken:
+        start = stop = lambda *_: None
+
+        def row(self, this, row):
+            if row["step"] == 3:
+                this.solver.state.x.numpy()[7] = np.nan
+                monkeypatch.setattr(this.solver, "advance", raise_)
+
+    def raise_():
+        raise NumericalError("diverged")
+
+    with pytest.raises(NumericalError, match=r"diverged\nlast good state: t = 0 s"):
+        run(column("output.every=100"), tmp_path, monitor=Broken())
+    assert np.isfinite(Results.open(tmp_path).read_checkpoint()["x"]).all()
+
+
+def test_a_folder_in_use_is_refused_and_force_replaces_the_run(tmp_path):
+    scene = column("implicit.max_steps=1")
+    run(scene, tmp_path)
+    with pytest.raises(SceneError, match=r"is not empty: `--force` replaces"):
+        run(scene, tmp_path)
+    assert run(column("implicit.max_steps=2"), tmp_path, force=True)["steps"] == 2
+
+
+@pytest.mark.parametrize("device", ["cuda:0", "gpu"])
+def test_only_the_cpu_is_taken(tmp_path, device):
+    with pytest.raises(SceneError, match=rf"^--device {device}: the implicit solver runs on the CPU$"):
+        run(column(), tmp_path / "run", device)
+    assert not (tmp_path / "run").exists()
+    run(column("implicit.max_steps=1"), tmp_path / "run")
+    (tmp_path / "run" / "summary.json").unlink()
+    with pytest.raises(SceneError, match="runs on the CPU"):
+        resume(tmp_path / "run", device)
+
+
+def test_a_scene_without_a_quasistatic_reading_is_refused_with_all_its_problems(tmp_path):
+    weightless = ["loads.gravity=0", "explicit.until=1.0", "output.history_every=0.1"]
+    with pytest.raises(SceneError) as caught:
+        run(column("loads.ramp=0.5", *weightless), tmp_path / "run")
+    assert [problem.split(" = ")[0] for problem in caught.value.problems] == ["loads.gravity", "loads.ramp"]
+    assert not (tmp_path / "run").exists()
