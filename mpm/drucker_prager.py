@@ -88,6 +88,7 @@ def drucker_prager(real):
     zero, one, three, nine = (wp.constant(real(value)) for value in (0.0, 1.0, 3.0, 9.0))
     two, half = wp.constant(real(2.0)), wp.constant(real(0.5))
     vec6 = wp.types.vector(6, real)
+    INTACT, OPEN, USED_UP = (wp.constant(code) for code in range(3))
 
     @wp.struct
     class Material:
@@ -118,19 +119,18 @@ def drucker_prager(real):
 
     @wp.func(module=name)
     def multiplier(root_j2: real, trial: real, opened: real, material: Material):
-        """d_lambda of the shear return, its derivative over f, and whether the material stays open meanwhile.
-
-        Dilatancy first uses up what is open, at no pressure; where that is not enough, the rest builds pressure as
-        if the trial mean stress were K times the opening.
+        """d_lambda of the shear return, its derivative over f, and what dilatancy does with what is open: nothing yet
+        (INTACT), or takes a part of it at no pressure (OPEN), or all of it and then builds pressure (USED_UP).
         """
         f = root_j2 + material.eta * trial - material.xi
         per_f = one / (material.shear + material.bulk * material.eta * material.eta_bar)
-        if opened > zero and trial <= zero:
+        d_lambda = f * per_f
+        if opened > zero and material.bulk * material.eta_bar * d_lambda > trial:
             used_up = (f + material.eta * material.bulk * opened) * per_f
-            if material.eta_bar * used_up > opened:
-                return used_up, per_f, False
-            return f / material.shear, one / material.shear, True
-        return f * per_f, per_f, False
+            if material.eta_bar * used_up > opened + trial / material.bulk:
+                return used_up, per_f, USED_UP
+            return (root_j2 - material.xi) / material.shear, one / material.shear, OPEN
+        return d_lambda, per_f, INTACT
 
     @wp.func(module=name)
     def return_map(sigma_m: real, root_j2: real, opening: real, material: Material):
@@ -140,23 +140,23 @@ def drucker_prager(real):
         d_eps = zero
         work = zero
         if root_j2 + material.eta * trial - material.xi > zero:
-            d_lambda, _per_f, _stays_open = multiplier(root_j2, trial, opened, material)
+            d_lambda, _per_f, regime = multiplier(root_j2, trial, opened, material)
             volume_strain = material.eta_bar * d_lambda
             root = root_j2 - material.shear * d_lambda
-            if root >= zero:
-                scale = root / root_j2
+            if root >= zero or regime != INTACT:
+                scale = wp.max(root, zero) / root_j2  # open, at c = 0: zero but for round-off
                 d_eps = wp.sqrt(d_lambda * d_lambda / three + two * volume_strain * volume_strain / nine)
-                if opened > zero and trial <= zero:
-                    mean = wp.min(material.bulk * (opened - volume_strain), zero)
-                    opened = wp.max(opened - volume_strain, zero)
-                else:
-                    mean = trial - material.bulk * volume_strain
+                mean = trial - material.bulk * volume_strain
+                if regime != INTACT:
+                    gap = opened + trial / material.bulk - volume_strain
+                    mean = wp.min(material.bulk * gap, zero)
+                    opened = wp.max(gap, zero)
             else:
                 mean = material.xi / material.eta
                 scale = zero
                 volume_strain = (trial - mean) / material.bulk
-                opened = opened + volume_strain
                 shear_strain = root_j2 / material.shear
+                opened = opened + volume_strain - material.eta_bar * shear_strain  # dilatancy does not close again
                 d_eps = wp.sqrt(shear_strain * shear_strain / three + two * volume_strain * volume_strain / nine)
             work = mean * volume_strain + scale * (one - scale) * root_j2 * root_j2 / material.shear
         return mean, scale, opened, d_eps, work
@@ -165,19 +165,19 @@ def drucker_prager(real):
     def return_slopes(sigma_m: real, root_j2: real, opening: real, material: Material):
         trial, opened = close(sigma_m, opening, material)
         mean_m, mean_r, root_m, root_r = one, zero, zero, one
-        still_open = opened > zero and trial <= zero
-        if still_open:
-            mean_m = zero
+        if opened > zero and sigma_m < zero:
+            mean_m = zero  # closing
         if root_j2 + material.eta * trial - material.xi > zero:
-            d_lambda, per_f, stays_open = multiplier(root_j2, trial, opened, material)
+            d_lambda, per_f, regime = multiplier(root_j2, trial, opened, material)
             softens = material.bulk * material.eta_bar * per_f
-            if root_j2 < material.shear * d_lambda:
+            if regime == OPEN or (regime == INTACT and root_j2 < material.shear * d_lambda):
                 mean_m, root_r = zero, zero
-            elif stays_open:
-                root_r = zero
             else:
-                mean_m, mean_r = one - softens * material.eta, -softens
-                root_m, root_r = -material.shear * per_f * material.eta, one - material.shear * per_f
+                passes = mean_m
+                if regime == USED_UP:
+                    passes = one
+                mean_m, mean_r = passes * (one - softens * material.eta), -softens
+                root_m, root_r = -passes * material.shear * per_f * material.eta, one - material.shear * per_f
         return mean_m, mean_r, root_m, root_r
 
     def pack(constants: Constants) -> Material:

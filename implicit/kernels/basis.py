@@ -9,13 +9,15 @@ import warp as wp
 from implicit.kernels.layout import BASIS, NAME, OUTSIDE, mat33, real, vec3
 
 stencil = BASIS.stencil
-NEGLIGIBLE = wp.constant(real(1e-12))
+# A third node's slope, in 1/h, and a node's weight below which they are round-off of a domain that ends on a node. The
+# weight is quadratic in the overlap, the slope linear.
+NO_SLOPE, NO_WEIGHT = wp.constant(real(1e-9)), wp.constant(real(1e-18))
 
 
 @wp.func(module=NAME)
-def reached(s: vec3, ds: vec3):
-    """How many of an axis' three nodes the point sees: the third has no weight unless the domain reaches over."""
-    if s[2] > NEGLIGIBLE:
+def reached(ds: vec3, inv_cell: real):
+    """How many of an axis' three nodes the point sees: the third has no slope unless the domain reaches over."""
+    if ds[2] > NO_SLOPE * inv_cell:
         return 3
     return 2
 
@@ -33,7 +35,7 @@ def weigh(
     p = wp.tid()
     i, j, k, sx, sy, sz, dx, dy, dz = stencil(x[p], inv_cell)
     base[p] = wp.vec3i(i, j, k)
-    reach[p] = wp.vec3i(reached(sx, dx), reached(sy, dy), reached(sz, dz))
+    reach[p] = wp.vec3i(reached(dx, inv_cell), reached(dy, inv_cell), reached(dz, inv_cell))
     weight[p] = wp.matrix_from_rows(sx, sy, sz)
     slope[p] = wp.matrix_from_rows(dx, dy, dz)
 
@@ -52,7 +54,7 @@ def touch(
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
-                if s[0, a] * s[1, b] * s[2, c] > NEGLIGIBLE:
+                if s[0, a] * s[1, b] * s[2, c] > NO_WEIGHT:
                     touched[at[0] + a, at[1] + b, at[2] + c] = 1
 
 

@@ -13,7 +13,7 @@ from mpm.drucker_prager import Constants, cone_slope, cone_strength, drucker_pra
 
 start_warp()
 LAW = drucker_prager(wp.float64)
-VEC5 = wp.types.vector(5, wp.float64)
+VEC5, VEC4 = wp.types.vector(5, wp.float64), wp.types.vector(4, wp.float64)
 BULK, SHEAR, PHI = 4.8667e6, 2.2462e6, 37.55
 
 
@@ -30,6 +30,19 @@ def returned(
     out[p] = VEC5(m, scale, d_eps, work, opened)
 
 
+@wp.kernel(module="repose_float64")
+def sloped(
+    mean: wp.array(dtype=wp.float64),
+    root: wp.array(dtype=wp.float64),
+    opening: wp.array(dtype=wp.float64),
+    material: LAW.Material,
+    out: wp.array(dtype=VEC4),
+):
+    p = wp.tid()
+    mean_m, mean_r, root_m, root_r = LAW.return_slopes(mean[p], root[p], opening[p], material)
+    out[p] = VEC4(mean_m, mean_r, root_m, root_r)
+
+
 def material(phi=PHI, psi=0.0, cohesion=0.0, cone="inner", bulk=BULK, shear=SHEAR):
     slopes = cone_slope(phi, cone), cone_slope(psi, cone)
     return Constants(bulk, shear, *slopes, cone_strength(cohesion, phi, cone), 2000.0, True, True)
@@ -43,6 +56,14 @@ def return_map(mean, root, constants, opening=0.0):
     wp.launch(returned, len(mean), inputs=[*inputs, LAW.pack(constants), out], device="cpu")
     m, scale, d_eps, work, opened = out.numpy().T
     return m, scale * root, d_eps, work, opened
+
+
+def return_slopes(mean, root, constants, opening):
+    """d mean/d sigma_m, d mean/d sqrt(J2), and the same of the returned sqrt(J2), as rows."""
+    out = wp.zeros(len(mean), dtype=VEC4, device="cpu")
+    inputs = [wp.array(a, dtype=wp.float64, device="cpu") for a in (mean, root, opening)]
+    wp.launch(sloped, len(mean), inputs=[*inputs, LAW.pack(constants), out], device="cpu")
+    return out.numpy().T
 
 
 @pytest.mark.parametrize(("cone", "eta"), [("inner", 0.5849), ("outer", 0.8831), ("plane_strain", 0.5749)])
@@ -175,10 +196,102 @@ def test_a_cohesive_gap_closes_without_tension():
     assert opening == 0.0 and mean == pytest.approx(-BULK * 1e-3, rel=1e-6)
 
 
-def test_dilatancy_builds_no_pressure_while_open():
-    mean, root, _, _, opening = return_map([-1.0], [1e4], material(psi=10.0), opening=1e-3)
-    assert mean[0] == 0.0 and root[0] == pytest.approx(0.0, abs=1e-9)
-    assert opening[0] == pytest.approx(1e-3 - 1.0 / BULK, rel=1e-12)
+@pytest.mark.parametrize("sigma_m", [-1.0, 0.0])
+def test_dilatancy_uses_up_what_is_open_before_it_builds_pressure(sigma_m):
+    """c = 0, open: shear meets no resistance. The opening falls by eta_bar d_lambda, and only what dilatancy exceeds
+    it by is compressed: p = K (eta_bar d_lambda - opening), with the stress on the cone.
+
+    Strains: sqrt(J2) falls by G d_lambda and d_eps^2 = d_lambda^2/3 + 2/9 (eta_bar d_lambda)^2; work is the stress
+    on the plastic strain.
+    """
+    constants = material(psi=10.0)
+    opening = 1e-3
+    left = opening + sigma_m / BULK
+    for share in (0.3, 0.999, 1.001, 5.0):
+        trial = share * left * SHEAR / constants.eta_bar  # shear strain whose dilation is this share of what is open
+        m, r, d_eps, work, opened = (a[0] for a in return_map(sigma_m, trial, constants, opening))
+        d_lambda = (trial - r) / SHEAR
+        dilation = constants.eta_bar * d_lambda
+        assert d_eps == pytest.approx(math.sqrt(d_lambda**2 / 3 + 2 / 9 * dilation**2), rel=1e-9)
+        assert work == pytest.approx(m * dilation + r * d_lambda, rel=1e-9, abs=1e-9)
+        if share < 1:
+            assert m == 0.0 and r == pytest.approx(0.0, abs=1e-9 * trial)
+            assert opened == pytest.approx(left - dilation, rel=1e-9)
+        else:
+            assert opened == 0.0
+            assert m == pytest.approx(-BULK * (dilation - left), rel=1e-9) and m < 0.0
+            assert r == pytest.approx(-constants.eta * m, rel=1e-9)
+
+
+def test_an_open_point_loses_its_opening_to_dilatancy_whatever_the_round_off():
+    """At c = 0 the deviator returns to zero up to round-off of either sign; the opening must not depend on that."""
+    constants = material(psi=5.0)
+    root = np.random.default_rng(0).uniform(1.0, 1e4, 2000)
+    opened = return_map(-1.0, root, constants, 1e-2)[4]
+    left = 1e-2 - 1.0 / BULK - constants.eta_bar * root / SHEAR
+    assert opened == pytest.approx(left, rel=1e-9)
+
+
+REGIMES = {  # psi [degrees], c [Pa]; then of n random numbers a, b, c in (0, 1): sigma_m [Pa], sqrt(J2) [Pa], opening
+    "elastic": (5.0, 3e3, lambda a, b, c: (-1e4 - 1e4 * a, 4e3 * b, 0.0 * c)),
+    "elastic, zero deviator": (5.0, 3e3, lambda a, b, c: (-1e4 - 1e4 * a, 0.0 * b, 0.0 * c)),
+    "shear": (5.0, 3e3, lambda a, b, c: (-1e4 * a, 2e4 + 1e4 * b, 0.0 * c)),
+    "apex": (5.0, 3e3, lambda a, b, c: (6e4 + 1e4 * a, 1e2 * b, 1e-3 * c)),
+    "cohesionless apex": (0.0, 0.0, lambda a, b, c: (1e2 + 1e4 * a, 1e2 + 1e4 * b, 1e-3 * c)),
+    "closing fully": (5.0, 0.0, lambda a, b, c: (-1e4 - 1e4 * a, 1e4 * b, 1e-3 * c)),
+    "closing partly": (5.0, 3e3, lambda a, b, c: (-1e3 * a - 1.0, 2e3 * b, 1e-3 + 1e-3 * c)),
+    "open with dilatancy": (5.0, 0.0, lambda a, b, c: (-1e3 * a - 1.0, 1.0 + 1e4 * b, 2e-3 + 1e-3 * c)),
+    "open, dilatancy and cohesion": (5.0, 3e3, lambda a, b, c: (-1e3 * a - 1.0, 4e3 + 1e4 * b, 3e-3 + 1e-3 * c)),
+    "open, used up by dilatancy": (5.0, 3e3, lambda a, b, c: (-50.0 * a - 1.0, 1e5 + 1e4 * b, 1e-4 + 1e-4 * c)),
+}
+
+
+@pytest.mark.parametrize("regime", REGIMES)
+def test_slopes_are_the_derivatives_of_the_return(regime):
+    """Central differences of return_map at random states; a step within which the regime changes is left out.
+
+    The returned invariants are linear within a regime, so what remains is round-off.
+    """
+    psi, cohesion, states = REGIMES[regime]
+    constants, step = material(psi=psi, cohesion=cohesion), 1e-2
+    mean, root, opening = states(*np.random.default_rng(2).random((3, 500)))
+
+    def returned_to(mean, root):
+        return np.array(return_map(mean, root, constants, opening)[:2])
+
+    slopes = return_slopes(mean, root, constants, opening)
+    one_sided = root < step  # sqrt(J2) has no negative side
+    along_m = (returned_to(mean + step, root) - returned_to(mean - step, root)) / (2 * step)
+    behind = np.where(one_sided, root, root - step)
+    along_r = (returned_to(mean, root + step) - returned_to(mean, behind)) / (root + step - behind)
+    wrong = np.abs(np.array([along_m[0], along_r[0], along_m[1], along_r[1]]) - slopes).max(axis=0) > 1e-6
+    assert wrong.mean() < 0.005  # a kink within the step
+
+
+@pytest.mark.parametrize("psi", [0.0, 5.0, 20.0])
+@pytest.mark.parametrize("cohesion", [0.0, 3e3])
+def test_stress_and_opening_are_continuous_where_the_opening_closes(psi, cohesion):
+    """Across sigma_m = -K opening (closed by compression) and eta_bar d_lambda = opening (closed by dilatancy)."""
+    constants, opening, tiny = material(psi=psi, cohesion=cohesion), 1e-3, 1e-6
+    for root in (0.0, 1e3, 1e4, 1e5):
+        both = np.array(return_map(-BULK * opening + np.array([-tiny, tiny]), root, constants, opening))
+        assert both[:2, 0] == pytest.approx(both[:2, 1], abs=10 * tiny)
+        assert both[4, 0] == pytest.approx(both[4, 1], abs=10 * tiny / BULK)
+    if psi > 0:
+        root = constants.xi + SHEAR * (opening - 1.0 / BULK) / constants.eta_bar
+        both = np.array(return_map(-1.0, root + np.array([-tiny, tiny]), constants, opening))
+        assert both[:2, 0] == pytest.approx(both[:2, 1], abs=10 * tiny)
+        assert both[4] == pytest.approx(0.0, abs=10 * tiny / SHEAR)
+
+
+@pytest.mark.parametrize("psi", [0.0, 5.0])
+def test_stress_is_continuous_where_an_open_point_turns_from_closing_to_opening(psi):
+    """Across sigma_m = 0 while open and sheared, c = 0: no pressure on either side as long as something is open."""
+    constants, tiny = material(psi=psi), 1e-6
+    both = np.array(return_map(np.array([-tiny, tiny]), 1e4, constants, 1e-2))
+    assert both[0] == pytest.approx(0.0, abs=10 * tiny)
+    assert both[1] == pytest.approx(0.0, abs=10 * tiny)
+    assert both[4, 0] == pytest.approx(both[4, 1], rel=1e-6)
 
 
 def test_without_friction_the_cone_is_a_cylinder():
