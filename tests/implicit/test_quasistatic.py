@@ -119,7 +119,7 @@ def test_a_column_off_the_lattice_rests_at_the_same_place():
     whole = collapse("column_small", "geometry.symmetry=full")[1]["R_995"]
 
     def shift(x, cell):
-        return x + [cell / 7, cell / 7, 0.0]
+        return x + cell * np.array([1 / 7, 1 / 7, 0.0])
 
     shifted = collapse("column_small", "geometry.symmetry=full", change=shift)[1]["R_995"]
     assert shifted == pytest.approx(whole, rel=0.01)
