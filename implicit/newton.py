@@ -52,8 +52,7 @@ class _Context:
     def shorten(self, x, y):
         """Halve the step `y` (x_new = x - y) until the residual falls; SNES' own search then takes it whole.
 
-        That search fits a cubic to the norm, which has kinks: it cuts to a tenth where a half would do, and needs
-        half as many iterations again.
+        That search fits a cubic to the norm, which has kinks: it cuts to a tenth where a half would do.
         """
         start, u, step = np.linalg.norm(self._at(x.array_r)), x.array_r.copy(), y.array_r.copy()
         length = 1.0
