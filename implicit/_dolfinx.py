@@ -17,6 +17,7 @@ def _import_dolfinx():
     sys.setdlopenflags = lambda flags: None
     try:
         import dolfinx
+        import dolfinx.io
     finally:
         sys.setdlopenflags = set_flags
     return dolfinx

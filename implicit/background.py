@@ -38,6 +38,15 @@ class Background:
         self._make(cells, low)
         return True
 
+    def write(self, path, dofs: np.ndarray, increment: np.ndarray):
+        """Mesh and displacement increment (count, 3) [m] of the blocks `dofs` (count,) as XDMF, for ParaView."""
+        function = dolfinx.fem.Function(self.space)
+        function.name = "increment"
+        function.x.array.reshape(-1, 3)[dofs] = increment
+        with dolfinx.io.XDMFFile(self.comm, str(path), "w") as file:
+            file.write_mesh(self.mesh)
+            file.write_function(function)
+
     def _covers(self, first) -> bool:
         at = first - self.corner
         if np.any(at < 0) or np.any(at + NODES_PER_AXIS > self.dof_of.shape):

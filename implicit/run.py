@@ -137,6 +137,12 @@ class ImplicitRun(Run):
         """Points move only once Newton has succeeded: finite positions are those of the last good step."""
         return bool(np.isfinite(self.x).all())
 
+    def write_grid(self):
+        """vtk/background.xdmf: the background mesh and the last step's displacement increment."""
+        system = self.solver.system
+        path = self.results.directory / "vtk" / "background.xdmf"
+        self.solver.background.write(path, system.dofs, system.u.numpy())
+
     def figures(self) -> dict:
         """What the implicit solver adds to the summary."""
         solver = self.solver

@@ -267,6 +267,7 @@ def _remove_run_files(folder: Path) -> None:
     """Remove what a run writes in `folder`; other files, also in vtk/, stay."""
     files = [folder / name for name in (RESULTS, CHECKPOINT, SUMMARY, *PLOTS)]
     files += [_temporary(folder / CHECKPOINT), _temporary(folder / SUMMARY)]
+    files += [folder / "vtk" / name for name in ("background.xdmf", "background.h5")]
     files += [folder / "vtk" / "run.pvd", *folder.glob("vtk/" + "[0-9]" * 6 + ".vtu")]
     for path in files:
         path.unlink(missing_ok=True)

@@ -90,6 +90,9 @@ class Run:
         """What the solver adds to the summary."""
         raise NotImplementedError
 
+    def write_grid(self):
+        """The background grid for ParaView, beside the points; nothing where the solver has no mesh of it."""
+
     def begin(self):
         """The body's initial shape, first history row, snapshot and checkpoint, before any step."""
         self.results.write_static("x0", self.body.x)
@@ -121,6 +124,7 @@ class Run:
                 summary = self.summary()
                 if self.body.scene.output.vtk:
                     write_vtk(self.results)
+                    self.write_grid()
                 self.results.finish(summary)
         except NumericalError as error:
             if self.state_is_whole(error):

@@ -3,6 +3,7 @@
 import importlib.util
 import signal
 
+import h5py
 import numpy as np
 import pytest
 
@@ -54,6 +55,12 @@ def test_a_column_comes_to_rest_with_all_its_outputs(tmp_path):
     assert summary["eq4"] == pytest.approx(0.3074, abs=1e-4)
     assert summary["regularisation"]["drag"] == Regularisation().drag
     assert summary["nodes_stored_max"] > summary["nodes_stored_start"] > 0
+
+    with h5py.File(tmp_path / "vtk" / "background.h5") as file:
+        increment = file["Function/increment/0"][()]
+        nodes = file["Mesh/mesh/geometry"][()]
+    assert 0 < np.abs(increment).max() < 0.25
+    assert np.abs(increment[nodes[:, 2] < 1e-9]).max() < 1e-12  # the base is held
 
     history = results.history()
     assert list(history["step"]) == list(range(summary["steps"] + 1))
