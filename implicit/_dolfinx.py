@@ -24,6 +24,7 @@ def _import_dolfinx():
 
 
 try:
+    import ufl
     from mpi4py import MPI
     from petsc4py import PETSc
 
@@ -34,4 +35,4 @@ except ImportError as error:
         f"on Debian 12 install them, as root, with: {DOLFINX_APT}; the explicit half works without them"
     ) from error
 
-__all__ = ["MPI", "PETSc", "dolfinx"]
+__all__ = ["MPI", "PETSc", "dolfinx", "ufl"]

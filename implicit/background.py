@@ -1,10 +1,9 @@
 """The background grid: a dolfinx hexahedral mesh around the material, its vector space and boundary conditions."""
 
 import numpy as np
-import ufl
 from scipy.ndimage import binary_dilation
 
-from implicit._dolfinx import MPI, dolfinx
+from implicit._dolfinx import MPI, dolfinx, ufl
 from mpm.gimp import NODES_PER_AXIS
 from mpm.lattice import FREE, ROLLER, Walls
 
