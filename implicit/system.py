@@ -26,7 +26,7 @@ class System:
     `count` nodes are solved for: those that some point sees and that no wall holds altogether. `dofs` (count,) are
     their blocks in the dolfinx space, `held` (count, 3) bool the components that walls hold, `node_mass` (count,)
     [kg], `velocity` (count, 3) [m/s], `load` (count, 3) [N]. The matrix is kept in 3x3 blocks by compressed rows:
-    `indptr`, `indices`, `values` (blocks, 3, 3) [N/m].
+    `indptr`, `indices`, and the values that `tangent` gives.
     """
 
     def __init__(self, state: Points, weights: Basis, background: Background, material):

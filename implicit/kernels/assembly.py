@@ -4,7 +4,7 @@ import warp as wp
 
 from implicit.kernels.layout import NAME, OUTSIDE, SELF, mat33, real, vec3
 
-ZERO, ONE = wp.constant(real(0.0)), wp.constant(real(1.0))
+ZERO = wp.constant(real(0.0))
 
 
 @wp.kernel(module=NAME)

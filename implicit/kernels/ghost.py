@@ -9,7 +9,7 @@ import warp as wp
 
 from implicit.kernels.layout import NAME, SELF, mat33, real, vec3
 
-TWO, FOUR = wp.constant(real(2.0)), wp.constant(real(4.0))
+TWO = wp.constant(real(2.0))
 
 
 @wp.kernel(module=NAME)

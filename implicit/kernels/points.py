@@ -240,8 +240,7 @@ def cauchy(
 ):
     """Cauchy stress [Pa] (xx, yy, zz, yz, xz, xy) of the elastic state."""
     p = wp.tid()
-    axes, over = wp.eig3(b_e[p] - wp.identity(3, dtype=real))
-    strain = HALF * vec3(wp.log(ONE + over[0]), wp.log(ONE + over[1]), wp.log(ONE + over[2]))
+    axes, _square, strain = principal(wp.identity(3, dtype=real), b_e[p])
     volumetric = strain[0] + strain[1] + strain[2]
     mean = (material.bulk - TWO * material.shear / THREE) * volumetric
     s = diagonal(axes, (TWO * material.shear) * strain + vec3(mean, mean, mean)) / jacobian[p]
