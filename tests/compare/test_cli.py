@@ -368,7 +368,7 @@ HIDE_DOLFINX = """
 import sys
 class Hide:
     def find_spec(self, name, path=None, target=None):
-        if name == "dolfinx":
+        if name in ("dolfinx", "ufl"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Hide())
 from compare.cli import main

@@ -38,7 +38,7 @@ with h5py.File(sys.argv[1]) as file:
     assert answer.stdout.split() == ["3.0", "1", "3", "dolfinx"]
 
 
-@pytest.mark.parametrize("hidden", ["dolfinx", "petsc4py", "mpi4py"])
+@pytest.mark.parametrize("hidden", ["dolfinx", "petsc4py", "mpi4py", "ufl"])
 def test_without_it_the_message_says_how_to_get_it(hidden):
     code = """
 import sys
