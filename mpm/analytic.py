@@ -7,6 +7,18 @@ import numpy as np
 from scipy.special import lambertw
 
 SQRT3 = np.sqrt(3.0)
+EQ2_SWITCH = 0.74
+
+
+def eq2(lambda0, tan_theta):
+    """Semi-empirical dynamic run-out [-] (Eq. 2, after Lajeunesse): truncated cone, from lambda0 = 0.74 a root.
+
+    `lambda0` and `tan_theta` [-] broadcast. As printed the branches do not meet: for tan(theta) = 0.77 the run-out
+    jumps from 0.44 to 0.73. NaN where lambda0 < 0.74 exceeds 2 sqrt3 tan(theta), which makes the cone's root complex.
+    """
+    lambda0 = np.asarray(lambda0, float)
+    power_law = np.sqrt(3.0 * lambda0 / EQ2_SWITCH) - 1.0
+    return np.where(lambda0 < EQ2_SWITCH, _truncated_cone(lambda0 / tan_theta), power_law)
 
 
 def eq4(lambda0, tan_theta):
@@ -15,8 +27,7 @@ def eq4(lambda0, tan_theta):
     `lambda0` and `tan_theta` [-] broadcast. Continuous, with its slope, at the switch.
     """
     a = np.asarray(lambda0, float) / tan_theta
-    truncated = 0.5 * (a + np.sqrt(np.maximum(4.0 - a * a / 3.0, 0.0))) - 1.0
-    return np.where(a < SQRT3, truncated, np.cbrt(3.0 * a) - 1.0)
+    return np.where(a < SQRT3, _truncated_cone(a), np.cbrt(3.0 * a) - 1.0)
 
 
 def dynamic_slope(lambda0, tan_phi):
@@ -32,10 +43,15 @@ def eq45(lambda0, tan_phi):
 def eq6(lambda0):
     """Power law fitted to the experiments, 1.30 lambda0^0.63 [-].
 
-    The paper prints 0.63 lambda0^1.30, which misses the digitised experiments by an RMSE of 0.41; with
-    prefactor and exponent exchanged the RMSE is the 0.13 that the paper states.
+    Prefactor and exponent are exchanged against the paper's print (`eq6_printed`): so the RMSE against the digitised
+    experiments is the 0.13 that the paper states.
     """
     return 1.30 * np.asarray(lambda0, float) ** 0.63
+
+
+def eq6_printed(lambda0):
+    """The power law as the paper prints it, 0.63 lambda0^1.30 [-]: it misses the experiments by an RMSE of 0.41."""
+    return 0.63 * np.asarray(lambda0, float) ** 1.30
 
 
 def quasistatic_profile(lambda0, tan_theta, r):
@@ -64,3 +80,9 @@ def self_weight_height(young, density, gravity, height):
     """
     w = lambertw(density * gravity * np.asarray(height, float) / young).real
     return young / (density * gravity) * (w + 0.5 * w * w)
+
+
+def _truncated_cone(a):
+    """Run-out [-] of the truncated cone with its top at h0, a = lambda0/tan(theta); NaN beyond a = 2 sqrt3."""
+    square = 4.0 - a * a / 3.0
+    return 0.5 * (a + np.sqrt(np.where(square < 0.0, np.nan, square))) - 1.0

@@ -7,6 +7,7 @@ import pytest
 from matplotlib.image import imread
 
 from compare import plots
+from compare.metrics import highest, profile
 from compare.plots import plot_history, plot_morphology, plot_profile
 from implicit.relaxation import REST_UNBALANCED
 from mpm.analytic import eq4, quasistatic_profile
@@ -78,7 +79,7 @@ def colours(path):
 def drawn(monkeypatch):
     """Collects the figures instead of writing them, to look at what is in them."""
     figures = []
-    monkeypatch.setattr(plots, "_save", lambda figure, path: figures.append(figure))
+    monkeypatch.setattr(plots, "save", lambda figure, path: figures.append(figure))
     return figures
 
 
@@ -170,9 +171,9 @@ def test_profile_of_eq4s_solid_lies_on_eq4(column, tmp_path, monkeypatch):
     plot_profile(column, tmp_path / "picture.png")
     axes = figures[0].axes[0]
     r, height = line(axes, "Eq. 4 (quasistatic)").T
-    rings, highest = line(axes, "highest point in the ring").T
-    rings, highest = rings[np.isfinite(highest)], highest[np.isfinite(highest)]
-    np.testing.assert_allclose(highest, np.interp(rings, r, height), atol=CELL)
+    rings, top = line(axes, "highest point in the ring").T
+    rings, top = rings[np.isfinite(top)], top[np.isfinite(top)]
+    np.testing.assert_allclose(top, np.interp(rings, r, height), atol=CELL)
     np.testing.assert_array_equal(line(axes, "initial column"), [[0, 1], [1, 1], [1, 0]])
 
 
@@ -182,12 +183,11 @@ def test_thickness_is_the_height_of_a_flat_topped_column_for_every_symmetry(symm
     corner = np.array([*low, 0])
     x = (np.indices((*(8 - corner[:2]), 4)).reshape(3, -1).T + 0.5 + corner) * spacing
     x = x[np.hypot(x[:, 0], x[:, 1]) <= 0.5]
-    sector = plots.SECTOR[symmetry]
-    edges, highest, thickness = plots._radial_profile({"x": x}, 0.125, spacing / 2, sector)
-    full = len(thickness) - 1
-    np.testing.assert_allclose(highest[:full], 0.25)
-    assert np.sum(thickness * np.diff(edges**2) * np.pi) * sector == pytest.approx(len(x) * spacing**3)
-    np.testing.assert_allclose(thickness[:full], 0.25, rtol=0.35)  # a lattice fills thin rings unevenly
+    rings = profile(x, scene(symmetry=symmetry))
+    full = len(rings.thickness) - 1
+    np.testing.assert_allclose(highest(x, scene(symmetry=symmetry))[:full], 0.25)
+    assert rings.volume == pytest.approx(len(x) * spacing**3)
+    np.testing.assert_allclose(rings.thickness[:full], 0.25, rtol=0.35)  # a lattice fills thin rings unevenly
 
 
 def test_profile_is_refused_for_a_box(tmp_path):

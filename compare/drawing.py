@@ -1,0 +1,97 @@
+"""What every picture shares: style, colours, figures without pyplot, what a scene's points are coloured by."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from scipy.spatial import ConvexHull
+
+from mpm.errors import SceneError
+
+STYLE = {
+    "font.size": 10,
+    "axes.titlesize": 10,
+    "legend.fontsize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "grid.alpha": 0.3,
+    "lines.linewidth": 1.6,
+}
+DPI = 150
+# Okabe and Ito's colours, told apart with every common colour blindness.
+BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
+BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
+EQ4_LABEL = "Eq. 4 (quasistatic)"
+
+
+def styled():
+    """A context in which figures are drawn in the house's style."""
+    return rc_context(STYLE)
+
+
+def new_figure(width, height):
+    """A figure of that size in inches, drawn by Agg, at the resolution it is saved in."""
+    figure = Figure(figsize=(width, height), dpi=DPI)
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def save(figure, path) -> Path:
+    """Write the figure; the path it was written to."""
+    figure.savefig(path)
+    return Path(path)
+
+
+def has_eq4(scene) -> bool:
+    """Whether Eq. 4 speaks of this resolved scene: a column that yields by friction."""
+    material = scene["material"]
+    return scene["geometry"]["shape"] == "column" and material["model"] != "elastic" and tan_theta(scene) > 0
+
+
+def tan_theta(scene) -> float:
+    """Eq. 4's slope [-]: the angle of repose is taken to be the friction angle."""
+    return np.tan(np.radians(scene["material"]["friction_angle"]))
+
+
+def last_snapshot(results) -> dict:
+    """The last snapshot of a run. Raises SceneError where there is none."""
+    if results.snapshot_count == 0:
+        raise SceneError(f"{results.directory} has no snapshot to plot")
+    return results.snapshot(-1)
+
+
+def colour_values(x, x0, snapshot):
+    """What to colour the points by, shape [n], and its label."""
+    if "eps_p_eqv" in snapshot:
+        return snapshot["eps_p_eqv"], "equivalent plastic strain [-]"
+    return np.linalg.norm(x - x0, axis=1), "displacement [m]"
+
+
+def draw_section(axes, x, x0, values, cell, half, colours):
+    """Points within one cell of the plane y = 0 or, for a body off it, of the first one that meets it."""
+    nearest = x0[np.argmin(np.abs(x0[:, 1])), 1]
+    middle = 0.0 if abs(nearest) < cell else nearest
+    inside, inside0 = (np.abs(points[:, 1] - middle) < cell for points in (x, x0))
+    outline_hull = hull(x0[inside0][:, [0, 2]], half)
+    outline = outline_hull.points[np.append(outline_hull.vertices, outline_hull.vertices[0])]
+    axes.plot(*outline.T, "--", color=BLUE, linewidth=1.2, zorder=3)
+    x, values = x[inside], values[inside]
+    axes.set(xlabel="x [m]", ylabel="z [m]")
+    axes.set_aspect("equal")
+    axes.update_datalim(x[:, [0, 2]])
+    axes.autoscale_view()
+    axes.apply_aspect()
+    scale = axes.transData.transform([[0, 0], [2 * half, 0]])
+    size = (scale[1, 0] - scale[0, 0]) * 72 / DPI
+    points = axes.scatter(x[:, 0], x[:, 2], c=values, s=(1.2 * size) ** 2, marker="s", zorder=2, **colours)
+    axes.set_title(f"section at y = {middle:.3g} m\ndashed: initial outline", loc="left")
+    return points
+
+
+def hull(x, half):
+    """Convex hull of the points' domains: cubes (squares in 2D) of the half-length around them."""
+    corners = half * (2.0 * np.indices((2,) * x.shape[1]).reshape(x.shape[1], -1).T - 1.0)
+    return ConvexHull((x[:, None] + corners).reshape(-1, x.shape[1]))

@@ -1,0 +1,79 @@
+"""Richardson extrapolation: limit and order of errors made to a known law, and what has no limit."""
+
+import numpy as np
+import pytest
+
+from compare.convergence import richardson
+
+HALVED = (0.2, 0.1, 0.05)
+UNEVEN = (1 / 8, 1 / 10, 1 / 16)  # as of 8, 10 and 16 cells across a radius
+
+
+@pytest.mark.parametrize("factor", [3.0, -0.4])
+@pytest.mark.parametrize("order", [0.5, 1.0, 2.0, 4.0])
+@pytest.mark.parametrize("h", [HALVED, UNEVEN])
+def test_limit_and_order_of_a_pure_power_are_found(h, order, factor):
+    found = richardson(h, 0.7 + factor * np.array(h) ** order)
+    assert found.converged and found.reason == ""
+    assert found.value == pytest.approx(0.7, abs=1e-10)
+    assert found.order == pytest.approx(order, abs=1e-8)
+
+
+def test_by_hand():
+    """Ratio 2, changes 0.4 and 0.1: the order is log2(4) = 2 and 0.1/3 is still to come."""
+    found = richardson((4.0, 2.0, 1.0), (1.5, 1.1, 1.0))
+    assert found.order == pytest.approx(2.0)
+    assert found.value == pytest.approx(1.0 - 0.1 / 3)
+
+
+def test_a_second_term_of_the_error_fades_as_the_grids_are_refined():
+    """Of 1 + 0.5 h + h^2 the order tends to 1 as h, and the limit's error to 0 as h^2: a quarter of the cell."""
+    coarse, fine = (richardson(h, 1.0 + 0.5 * h + h**2) for h in (np.array(HALVED) / 8, np.array(HALVED) / 32))
+    assert abs(fine.order - 1.0) == pytest.approx(abs(coarse.order - 1.0) / 4, rel=0.1)
+    assert abs(fine.value - 1.0) == pytest.approx(abs(coarse.value - 1.0) / 16, rel=0.2)
+
+
+def test_the_finest_three_count_in_whatever_order_they_come():
+    """The coarsest grid is far off the law of the others."""
+    found = richardson((0.1, 0.4, 0.05, 0.2), (0.7 + 0.3 * 0.1, 9.0, 0.7 + 0.3 * 0.05, 0.7 + 0.3 * 0.2))
+    assert found.value == pytest.approx(0.7) and found.order == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(
+    ("f", "words"),
+    [
+        ((1.0, 1.2, 1.1), "oscillates"),
+        ((1.0, 0.8, 0.9), "oscillates"),
+        ((1.0, 1.1, 1.3), "not settling"),
+        ((1.0, 1.0, 1.1), "not settling"),
+        ((1.0, 1.5, 1.5), "hardly changes"),
+        ((1.0, 1.5, 1.501), "hardly changes"),  # order 9
+        ((1.0, 1.0, 1.0), "same value"),
+        ((1.0, np.nan, 1.2), "no value"),
+    ],
+)
+@pytest.mark.parametrize("h", [HALVED, UNEVEN])
+def test_what_has_no_limit_says_why(h, f, words):
+    found = richardson(h, f)
+    assert not found.converged and words in found.reason
+    assert np.isnan(found.value) and np.isnan(found.order)
+
+
+@pytest.mark.parametrize("h", [HALVED, UNEVEN])
+@pytest.mark.parametrize("law", [np.log, lambda h: h**-1.0, lambda h: h**0.1])
+def test_a_law_without_a_limit_or_too_slow_for_one_is_not_settling(h, law):
+    assert "not settling" in richardson(h, law(np.array(h))).reason
+
+
+@pytest.mark.parametrize(
+    ("h", "f"),
+    [
+        ((0.2, 0.1), (1.0, 1.1)),
+        ((0.2, 0.1, 0.1), (1.0, 1.1, 1.2)),
+        ((0.2, 0.1, 0.0), (1.0, 1.1, 1.2)),
+        ((0.2, 0.1, 0.05), (1.0, 1.1)),
+    ],
+)
+def test_grids_that_allow_no_extrapolation_are_refused(h, f):
+    with pytest.raises(ValueError, match="grid sizes"):
+        richardson(h, f)
