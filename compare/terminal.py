@@ -7,6 +7,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 PLAIN_EVERY = 10.0  # seconds between progress lines when the output is not a terminal
+BATCH_PLAIN_EVERY = 60.0  # likewise of a study, whose runs say more in their logs
 # How far a run is, in the unit of its `progress`.
 PROGRESS = {
     "explicit": "t = {task.completed:.2f} of at most {task.total:.3g} s",
@@ -71,6 +72,51 @@ class Monitor:
             out.print(f"{so_far}, {front}{unbalanced}")
 
     def stop(self, _run):
+        if self.progress:
+            self.progress.stop()
+
+
+class BatchMonitor:
+    """Follows the runs of a study: a line as each ends, and what the running ones say meanwhile."""
+
+    def __init__(self):
+        self.progress, self.tasks, self.last_line = None, {}, time.monotonic()
+
+    def start(self, jobs):
+        self.left = self.whole = len(jobs)
+        if out.is_terminal:
+            self.progress = Progress(TextColumn("{task.description}"), BarColumn(), console=out, transient=True)
+            self.all = self.progress.add_task("", total=self.whole)
+            self.progress.start()
+
+    def look(self, job, log):
+        """`log`: what the run of `job` has printed so far; its last line says where it is."""
+        if not self.progress and time.monotonic() - self.last_line < BATCH_PLAIN_EVERY:
+            return
+        lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        said = f"{job.name}: {lines[-1] if lines else 'starting'}"
+        if not self.progress:
+            self.last_line = time.monotonic()
+            out.print(said)
+            return
+        if job.name not in self.tasks:
+            self.tasks[job.name] = self.progress.add_task("", total=None)
+        self.progress.update(self.tasks[job.name], description=said[: out.width - 20])
+
+    def ended(self, outcome):
+        self.left -= 1
+        if outcome.done:
+            how = f"{outcome.summary['wall_s']:.1f} s, R_995 {outcome.summary['R_995']:.4f}"
+            how += ", kept from an earlier call" if outcome.reused else ""
+        else:
+            how = f"failed: {outcome.reason}"
+        if self.progress:
+            self.progress.update(self.all, advance=1)
+            if outcome.job.name in self.tasks:
+                self.progress.remove_task(self.tasks.pop(outcome.job.name))
+        out.print(f"[{self.whole - self.left}/{self.whole}] {outcome.job.name}: {how}")
+
+    def stop(self):
         if self.progress:
             self.progress.stop()
 

@@ -1,5 +1,6 @@
 """What a result was computed with and on: versions, commit, machine; and what is installed here."""
 
+import hashlib
 import importlib.util
 import os
 import platform
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 PROJECT = Path(__file__).resolve().parents[1]
+SOLVER_PACKAGES = ("mpm", "explicit", "implicit")
 DOLFINX_APT = "apt-get install --no-install-recommends python3-dolfinx-real python3-petsc4py-real"
 
 
@@ -20,6 +22,7 @@ def provenance(device: str, precision: str) -> dict[str, str | float]:
     return {
         "repose": _version("repose"),
         "commit": git_commit(PROJECT),
+        "code": code_version(),
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "numpy": _version("numpy"),
@@ -28,7 +31,7 @@ def provenance(device: str, precision: str) -> dict[str, str | float]:
         "cpu": cpu_name(),
         "cores": os.cpu_count() or 1,
         "device": device,
-        "device_name": cpu_name() if device == "cpu" else _warp().get_device(device).name,
+        "device_name": device_name(device),
         "precision": precision,
     }
 
@@ -56,6 +59,20 @@ def git_commit(checkout: Path) -> str:
     return answer.stdout.strip()
 
 
+def code_version() -> str:
+    """Digest of the solvers' source: results of one scene on one device with the same digest are the same run."""
+    digest = hashlib.sha256()
+    for package in SOLVER_PACKAGES:
+        for path in sorted((PROJECT / package).rglob("*.py")):
+            digest.update(path.relative_to(PROJECT).as_posix().encode() + b"\0" + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def device_name(device: str) -> str:
+    """What the device called `device` (Warp's alias, "cpu" or "cuda:N") is sold as."""
+    return cpu_name() if device == "cpu" else _warp().get_device(device).name
+
+
 def cpu_name() -> str:
     """The processor's model name, as the system reports it."""
     return _from_proc("/proc/cpuinfo", "model name") or platform.machine()  # Arm's cpuinfo has no model name
@@ -80,6 +97,7 @@ def installed() -> list[Package]:
         ("h5py", "h5py", "results", pip),
         ("meshio", "meshio", "mesh files, ParaView files", pip),
         ("matplotlib", "matplotlib", "pictures", pip),
+        ("jinja2", "jinja2", "reports", pip),
         ("warp", "warp-lang", "the explicit solver", pip),
         ("dolfinx", "fenics-dolfinx", "the implicit solver", apt),
         ("petsc4py", "petsc4py", "the implicit solver", apt),

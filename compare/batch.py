@@ -1,0 +1,154 @@
+"""Runs of a study, each in a process of its own: kept, reused, gone on with, and failed ones reported as such."""
+
+import hashlib
+import json
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from compare.worker import INTERRUPTED, JOB, OUTCOME
+from mpm.config import Scene, load_scene
+from mpm.provenance import code_version, device_name
+from mpm.results import Results
+
+LOOK_EVERY = 0.2  # [s] between looks at the processes
+# A run takes one core, so that those of a batch can be compared and run side by side.
+ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run: `name` in its study, scene file or preset, `--set` overrides, mode, device.
+
+    `regularisation`: what differs from `implicit.relaxation.Regularisation`. `repeat`: which of several equal runs.
+    """
+
+    name: str
+    reference: str
+    settings: tuple[str, ...]
+    mode: str
+    device: str = "cpu"
+    regularisation: dict[str, float] = field(default_factory=dict)
+    repeat: int = 1
+
+    @cached_property
+    def scene(self) -> Scene:
+        """The resolved scene. Raises SceneError with every problem."""
+        return load_scene(self.reference, list(self.settings))
+
+    @cached_property
+    def key(self) -> str:
+        """Digest of all that decides the result: resolved scene, mode, regularisation, device and the solvers' code."""
+        decides = [self.scene.model_dump(mode="json"), self.mode, self.regularisation]
+        decides += [device_name(self.device), code_version(), self.repeat]
+        return hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()[:12]
+
+    @property
+    def command(self) -> str:
+        """The command that makes the same run, or the benchmark's where the command line has no such setting."""
+        words = ["repose", "run", self.reference, "--mode", self.mode, "--device", self.device]
+        if self.regularisation:
+            words = ["python", "benchmarks/implicit_runs.py", self.reference]
+            words += [word for name, value in self.regularisation.items() for word in ("--reg", f"{name}={value:g}")]
+        return shlex.join(words + [word for item in self.settings for word in ("--set", item)])
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a job ended: `summary` of a run that is done (see `mpm.running`), else the `reason` it failed for."""
+
+    job: Job
+    folder: Path
+    summary: dict | None
+    reason: str | None
+    reused: bool = False
+
+    @property
+    def done(self) -> bool:
+        """Whether the run ended with a result."""
+        return self.summary is not None
+
+    @property
+    def results(self) -> Results:
+        """The run's store. Raises SceneError where the run failed before it had one."""
+        return Results.open(self.folder)
+
+
+def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor) -> list[Outcome]:
+    """Run what is not there yet, `workers` processes at a time; the outcomes in the order of `jobs`.
+
+    A run's folder is `directory`/NAME-KEY, so that another scene, device or version of the code never meets it.
+    `force` runs all of them again. `monitor` has `start(jobs)`, `look(job, log)`, `ended(outcome)` and `stop()`.
+    Raises KeyboardInterrupt after every process has saved its state: the same call then goes on from there.
+    """
+    outcomes: list[Outcome | None] = [None] * len(jobs)
+    waiting = list(range(len(jobs)))
+    active: dict[int, tuple[Path, subprocess.Popen]] = {}
+    monitor.start(jobs)
+    try:
+        while waiting or active:
+            while waiting and len(active) < workers:
+                number = waiting.pop(0)
+                job = jobs[number]
+                folder = directory / f"{job.name}-{job.key}"
+                if not force and (folder / OUTCOME).is_file():
+                    outcomes[number] = _outcome(job, folder, reused=True)
+                    monitor.ended(outcomes[number])
+                else:
+                    active[number] = folder, _start(job, folder, force)
+            time.sleep(LOOK_EVERY if active else 0.0)
+            for number, (folder, process) in list(active.items()):
+                monitor.look(jobs[number], folder.with_suffix(".log"))
+                if (code := process.poll()) is None:
+                    continue
+                del active[number]
+                if code == INTERRUPTED:
+                    raise KeyboardInterrupt
+                outcomes[number] = _outcome(jobs[number], folder, code)
+                monitor.ended(outcomes[number])
+    except KeyboardInterrupt:
+        for _, process in active.values():
+            process.send_signal(signal.SIGINT)  # again, if the terminal has sent it: that does no harm
+        for _, process in active.values():
+            process.wait()
+        raise KeyboardInterrupt(f"stopped; finished runs are in {directory}: the same command goes on") from None
+    finally:
+        monitor.stop()
+    return outcomes
+
+
+def _start(job: Job, folder: Path, force: bool) -> subprocess.Popen:
+    """The process of one run; what it prints goes to a log beside its folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / OUTCOME).unlink(missing_ok=True)
+    if force:
+        for name in ("checkpoint.h5", "summary.json"):
+            (folder / name).unlink(missing_ok=True)
+    asked = {"scene": job.scene.model_dump(mode="json"), "mode": job.mode, "device": job.device}
+    asked |= {"regularisation": job.regularisation, "command": job.command}
+    (folder / JOB).write_text(json.dumps(asked, indent=2), encoding="utf-8")
+    with open(folder.with_suffix(".log"), "w", encoding="utf-8") as log:
+        return subprocess.Popen(
+            [sys.executable, "-P", "-m", "compare.worker", str(folder)],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            env=os.environ | ONE_THREAD | {"COLUMNS": "200", "PYTHONUNBUFFERED": "1"},
+        )
+
+
+def _outcome(job: Job, folder: Path, code: int = 0, reused: bool = False) -> Outcome:
+    """What outcome.json says, or, of a process that left none, how it died."""
+    if (folder / OUTCOME).is_file():
+        said = json.loads((folder / OUTCOME).read_text(encoding="utf-8"))
+        summary = Results.open(folder).summary() if said["status"] == "done" else None
+        return Outcome(job, folder, summary, said["reason"], reused)
+    how = f"signal {-code}" if code < 0 else f"exit code {code}"
+    lines = folder.with_suffix(".log").read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    return Outcome(job, folder, None, f"the process died ({how}): {lines[-1] if lines else 'without a word'}")
