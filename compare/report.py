@@ -1,0 +1,107 @@
+"""The report of a comparison: report.json and report.html, the page made from what the JSON says and nothing else."""
+
+import base64
+import json
+import re
+import struct
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, UndefinedError
+
+from mpm.errors import SceneError
+from mpm.results import _json_value, _replace
+
+REPORT_JSON, REPORT_HTML = "report.json", "report.html"
+TEMPLATE = "report.html.jinja"
+WIDE = 2.0  # width over height from which a figure gets both columns: its letters would be too small in one
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+def refuse_another(directory: Path, about: dict, force: bool):
+    """Raise SceneError where `directory` holds a report about something else, or one that cannot be read.
+
+    about: what a report's key "about" says, for example the study's name and the resolved scene. `force`: never refuse.
+    """
+    path = Path(directory) / REPORT_JSON
+    if force or not path.is_file():
+        return
+    try:
+        there = json.loads(path.read_text(encoding="utf-8"))["about"]
+    except (ValueError, KeyError, TypeError):
+        there = None
+    if there != json.loads(json.dumps(about)):
+        raise SceneError(f"{path} is a report about something else: choose another --out, or --force replaces it")
+
+
+def write_report(report: dict, directory: Path) -> Path:
+    """Write report.json and report.html into `directory`, where the figures lie; returns the page's path.
+
+    report: "title", "lead", "verdict" {"holds", "sentence"}, "checks" [{"name", "holds", "sentence"}] with
+    "holds" None where nothing could be judged, "sections" [{"title", "text" [paragraphs], "tables" [{"caption",
+    "columns", "rows"}], "figures" [{"file", "caption", "alt"}]}], "provenance" {key: str or number}. Table cells
+    are str, int, float or None. Other keys go into report.json only. NaN and infinities become null.
+
+    The page is one file: the figures (PNG) are inside. KeyError for a key that is missing, FileNotFoundError for
+    a figure that is; nothing is written then.
+    """
+    directory = Path(directory)
+    report = _json_value(report)
+    page = _page(report, directory)
+    text = json.dumps(report, indent=2, allow_nan=False) + "\n"
+    for name, content in ((REPORT_JSON, text), (REPORT_HTML, page)):
+        _replace(directory / name, lambda path, content=content: path.write_text(content, encoding="utf-8"))
+    return directory / REPORT_HTML
+
+
+def _page(report, directory):
+    """The HTML of the report."""
+    environment = Environment(
+        loader=PackageLoader("compare", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    environment.filters |= {
+        "shown": _shown,
+        "number_columns": _number_columns,
+        "picture": lambda file: _picture(directory / file),
+    }
+    try:
+        return environment.get_template(TEMPLATE).render(report=report)
+    except UndefinedError as error:
+        raise KeyError(error.message) from error
+
+
+def _picture(path):
+    """A PNG as a data URI, and whether it is wide."""
+    data = path.read_bytes()
+    width, height = struct.unpack(">II", data[16:24])
+    return {"uri": "data:image/png;base64," + base64.b64encode(data).decode(), "wide": width >= WIDE * height}
+
+
+def _number_columns(table):
+    """For each column of a table whether most of its cells are numbers, or text that starts like one."""
+    columns = ([row[index] for row in table["rows"]] for index in range(len(table["columns"])))
+    return [_mostly_numbers([cell for cell in column if cell is not None]) for column in columns]
+
+
+def _mostly_numbers(cells):
+    numbers = [not isinstance(cell, str) or bool(re.match(r"[-+±≤≥<>~]?\s?\.?\d", cell)) for cell in cells]
+    return 2 * sum(numbers) > len(numbers)
+
+
+def _shown(value):
+    """Floats with 4 significant digits, integers with thousands set apart, text as it is."""
+    if isinstance(value, int):
+        return f"{value:,}"
+    if not isinstance(value, float):
+        return value
+    mantissa, _, exponent = f"{value:.4g}".partition("e")
+    if not exponent:
+        return mantissa
+    power = int(exponent)
+    if 0 < power < 7:
+        return f"{float(f'{value:.4g}'):,.0f}"
+    return f"{mantissa} × 10{str(power).translate(SUPERSCRIPT)}"

@@ -1,0 +1,71 @@
+"""What a browser makes of a page: measured by headless Chromium, in a frame of any width."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+WINDOW_HEIGHT = 900  # [px], less than a page's: a scroll bar takes its place, as on a screen
+PROBE = """
+<script>
+addEventListener("load", () => {
+  const shown = element => element.getClientRects().length > 0 && element.innerText.trim() !== "";
+  parent.postMessage({
+    window: innerWidth,
+    client_width: document.documentElement.clientWidth,
+    scroll_width: document.documentElement.scrollWidth,
+    font_size: parseFloat(getComputedStyle(document.body).fontSize),
+    images: Array.from(document.images, image => {
+      const box = image.getBoundingClientRect();
+      const column = image.parentElement.getBoundingClientRect();
+      return {alt: image.alt, natural_width: image.naturalWidth, left: box.left, width: box.width,
+              height: box.height, column: column.width};
+    }),
+    tables: Array.from(document.querySelectorAll("table"), table => {
+      const rows = Array.from(table.tBodies).flatMap(body => Array.from(body.rows));
+      return {text: table.innerText.trim(), rows: rows.filter(shown).length};
+    }),
+  }, "*");
+});
+</script>
+"""
+# Chromium's own window cannot be as narrow as a telephone's; a frame in it can.
+WRAPPER = """<!DOCTYPE html>
+<pre id="probe"></pre>
+<script>
+addEventListener("message", event => document.getElementById("probe").textContent = JSON.stringify(event.data));
+</script>
+<iframe src="probed.html" style="width: {width}px; height: {height}px; border: 0"></iframe>
+"""
+
+
+def measure(page: Path, width: int, tmp_path: Path) -> dict:
+    """Lay `page` out `width` px wide. All lengths in px, as CSS counts them.
+
+    "window", "client_width" (the window without its scroll bar), "scroll_width" (larger than that: the page scrolls
+    sideways), "font_size" of the body, "images" [{"alt", "natural_width" (0: broken), "left", "width", "height",
+    "column" (width of what holds it)}], "tables" [{"text", "rows" (of the body, with text to see)}].
+
+    The page is copied into `tmp_path`, away from its neighbours: an image that is not inside it is broken.
+    Skips the test where there is no browser; RuntimeError where it gave no answer.
+    """
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip(f"no browser to look at the page with: none of {', '.join(BROWSERS)} is on PATH")
+    folder = tmp_path / "browser"
+    folder.mkdir(exist_ok=True)
+    (folder / "probed.html").write_text(page.read_text(encoding="utf-8") + PROBE, encoding="utf-8")
+    wrapper = folder / "wrapper.html"
+    wrapper.write_text(WRAPPER.format(width=width, height=WINDOW_HEIGHT), encoding="utf-8")
+    command = [browser, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}"]
+    command += ["--virtual-time-budget=10000", "--dump-dom", wrapper.as_uri()]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    probe = re.search(r'<pre id="probe">(.+?)</pre>', answer.stdout, re.DOTALL)
+    if probe is None:
+        raise RuntimeError(f"{browser} did not measure {page}:\n{answer.stdout[-1000:]}\n{answer.stderr[-2000:]}")
+    return json.loads(html.unescape(probe[1]))
