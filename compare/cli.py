@@ -1,6 +1,7 @@
-"""The command line: `repose run | resume | plot | validate | scenes | info | demo`."""
+"""The command line: `repose run | resume | plot | compare | study | validate | scenes | info | demo`."""
 
 import itertools
+import shlex
 import sys
 from enum import StrEnum
 from pathlib import Path
@@ -9,7 +10,8 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from compare.terminal import Monitor, err, out, summary_table
+from compare.options import SpacedNumbers
+from compare.terminal import BatchMonitor, Monitor, err, out, summary_table
 from mpm.errors import NumericalError, SceneError
 
 INTERRUPTED = 130  # what a shell expects after Ctrl-C
@@ -26,9 +28,15 @@ class Mode(StrEnum):
     implicit = "implicit"
 
 
+study = typer.Typer(help="Many runs and a report of them; what is finished is kept.", no_args_is_help=True)
+app.add_typer(study, name="study")
+
 SceneArg = Annotated[str, typer.Argument(metavar="SCENE", help="scene file (TOML) or a preset's name")]
 SetOption = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="override a scene key")]
 DeviceOption = Annotated[str, typer.Option(help="cpu or cuda:0, cuda:1, ...")]
+OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR")]
+AgainOption = Annotated[bool, typer.Option("--force", help="run again what is there, replace another report in DIR")]
+JobsOption = Annotated[int, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
 DirArg = Annotated[Path, typer.Argument(metavar="DIR", help="folder of a run")]
 
 
@@ -67,6 +75,64 @@ def plot(directory: DirArg):
     """Draw morphology.png, history.png and, for a column, profile.png in DIR."""
     for path in _draw(directory):
         out.print(str(path))
+
+
+@app.command()
+def compare(
+    scene: SceneArg,
+    device: DeviceOption = "cpu",
+    set_: SetOption = [],  # noqa: B006
+    directory: OutOption = None,
+    force: AgainOption = False,
+):
+    """Implicit against explicit (D = 0.4) and Eq. 4, from one scene: writes DIR/report.html, report.json, table.csv."""
+    from compare.comparison import compare_solvers
+    from mpm.config import load_scene
+
+    directory = directory or Path("runs") / f"{load_scene(scene, set_).name}-compare"
+    _report(directory, force, compare_solvers, scene, set_, device)
+
+
+@study.command("error", cls=SpacedNumbers)
+def study_error(
+    scene: SceneArg,
+    cells: Annotated[list[float], typer.Option(metavar="N...", help="cells per r0 of both solvers")] = [  # noqa: B006
+        5,
+        8,
+        10,
+        16,
+        20,
+    ],
+    finer: Annotated[list[float], typer.Option(metavar="N...", help="more of the explicit solver alone")] = [],  # noqa: B006
+    device: DeviceOption = "cpu",
+    set_: SetOption = [],  # noqa: B006
+    directory: OutOption = None,
+    jobs: JobsOption = 1,
+    force: AgainOption = False,
+):
+    """Speed against error of both solvers, over resolution, precision, step and stiffness (an hour or more)."""
+    from compare.study_error import study_error
+    from mpm.config import load_scene
+
+    directory = directory or Path("runs") / f"{load_scene(scene, set_).name}-error"
+    _report(directory, force, study_error, scene, set_, cells, finer, device, jobs)
+
+
+@study.command("paper", cls=SpacedNumbers)
+def study_paper(
+    lambda0: Annotated[list[float], typer.Option(metavar="N...", help="aspect ratios h0/r0")] = [0.5, 1, 2, 4],  # noqa: B006
+    damping: Annotated[list[float], typer.Option(metavar="N...", help="local damping D")] = [0, 0.05, 0.1, 0.2, 0.4],  # noqa: B006
+    quick: Annotated[bool, typer.Option("--quick", help="8 cells per r0 instead of the paper's 20")] = False,
+    device: DeviceOption = "cpu",
+    directory: OutOption = None,
+    jobs: JobsOption = 1,
+    force: AgainOption = False,
+):
+    """The paper's runs beside theory, experiments and the implicit solver."""
+    from compare.study_paper import study_paper
+
+    directory = directory or Path("runs") / f"paper{'-quick' if quick else ''}"
+    _report(directory, force, study_paper, lambda0, damping, quick, device, jobs)
 
 
 @app.command()
@@ -160,6 +226,21 @@ def _follow(folder: Path, solve, *arguments, **named) -> dict:
     vtk = "; ParaView opens vtk/run.pvd" if (folder / "vtk" / "run.pvd").is_file() else ""
     out.print(f"results in {folder} (`repose plot {folder}` draws them{vtk})")
     return summary
+
+
+def _report(directory: Path, force: bool, make, *arguments):
+    """Let `make(directory, force, monitor, command, *arguments)` compute a report; write it and print its verdict."""
+    from compare.report import write_report
+
+    command = shlex.join(["repose", *sys.argv[1:]])
+    try:
+        report = make(directory, force, BatchMonitor(), command, *arguments)
+    except KeyboardInterrupt as stop:
+        err.print(str(stop) or "interrupted")
+        raise typer.Exit(INTERRUPTED) from None
+    page = write_report(report, directory)
+    out.print(f"verdict: {report['verdict']['sentence']}")
+    out.print(f"report in {page}")
 
 
 def _draw(directory: Path) -> list[Path]:

@@ -1,0 +1,211 @@
+"""Pictures of several runs together, for reports: one panel or two above each other, legible on a telephone."""
+
+from pathlib import Path
+
+import numpy as np
+
+from compare.drawing import (
+    BLACK,
+    BLUE,
+    DPI,
+    EQ4_LABEL,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    RED,
+    SKY,
+    colour_values,
+    draw_section,
+    has_eq4,
+    last_snapshot,
+    new_figure,
+    save,
+    styled,
+    tan_theta,
+)
+from compare.experiments import experiments
+from compare.metrics import half_length, profile
+from mpm.analytic import eq2, eq4, eq6, eq6_printed, eq45, quasistatic_profile
+
+WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
+COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+SOLVER = {"implicit": (BLUE, "o", "-"), "explicit": (ORANGE, "s", "--")}  # colour, marker, line
+
+
+def draw_profiles(outcomes, labels, path) -> Path:
+    """Mean thickness over the radius of each run's last snapshot, over Eq. 4's solid. Columns only."""
+    with styled():
+        figure, axes = _panel(3.6)
+        scene = outcomes[0].results.scene
+        radius = scene["geometry"]["radius"]
+        height = radius * scene["geometry"]["aspect_ratio"]
+        farthest = radius
+        for number, (outcome, label) in enumerate(zip(outcomes, labels, strict=True)):
+            results = outcome.results
+            deposit = profile(last_snapshot(results)["x"], results.scene)
+            colour, _, style = SOLVER.get(label.split(",")[0], (COLOURS[number % len(COLOURS)], "", "-"))
+            axes.stairs(deposit.thickness, deposit.edges, baseline=None, color=colour, ls=style, lw=1.6, label=label)
+            farthest = max(farthest, deposit.edges[-1])
+        axes.plot([0, radius, radius], [height, height, 0], ":", color=BLACK, label="initial column")
+        if has_eq4(scene):
+            fine = np.linspace(0.0, farthest, 600)
+            solid = radius * quasistatic_profile(height / radius, tan_theta(scene), fine / radius)
+            axes.fill_between(fine, solid, color=BLACK, alpha=0.08, linewidth=0)
+            axes.plot(fine, solid, color=BLACK, linewidth=1.0, label=EQ4_LABEL)
+        axes.set(xlim=(0, farthest), ylim=(0, None), xlabel="radius r [m]", ylabel="mean thickness [m]")
+        _legend(axes)
+        return save(figure, path)
+
+
+def draw_plan_and_section(outcome, title, path, most) -> Path:
+    """The deposit from above and cut along y = 0, coloured by plastic strain up to `most` (None: its 98 % quantile)."""
+    results = outcome.results
+    last, x0, scene = last_snapshot(results), results.read_static("x0"), results.scene
+    x, cell, half = last["x"], scene["grid"]["cell"], half_length(scene)
+    values, label = colour_values(x, x0, last)
+    colours = {"cmap": "viridis", "vmin": 0.0, "vmax": most or np.quantile(values, 0.98) or 1.0, "linewidths": 0}
+    with styled():
+        figure = new_figure(WIDTH, 6.4)
+        plan = figure.add_axes((0.12, 0.42, 0.84, 0.50))
+        section = figure.add_axes((0.12, 0.15, 0.84, 0.20))
+        order = np.argsort(x[:, 2])  # the highest last, on top, as seen from above
+        plan.set_aspect("equal")
+        plan.update_datalim(x[:, :2])
+        plan.autoscale_view()
+        plan.apply_aspect()
+        scale = plan.transData.transform([[0, 0], [2 * half, 0]])
+        size = (1.2 * (scale[1, 0] - scale[0, 0]) * 72 / DPI) ** 2
+        plan.scatter(*x[order, :2].T, c=values[order], s=size, marker="s", **colours)
+        plan.set(xlabel="x [m]", ylabel="y [m]")
+        plan.set_title(f"{title}, from above", loc="left", weight="bold")
+        points = draw_section(section, x, x0, values, cell, half, colours)
+        scale_axes = figure.add_axes((0.12, 0.075, 0.84, 0.015))
+        figure.colorbar(points, cax=scale_axes, orientation="horizontal", extend="max").set_label(label, labelpad=1)
+        scale_axes.grid(False)
+        return save(figure, path)
+
+
+def strain_limit(outcomes) -> float | None:
+    """98 % quantile of the plastic strain of all runs together, so that their pictures share one scale."""
+    strains = [last["eps_p_eqv"] for one in outcomes if "eps_p_eqv" in (last := last_snapshot(one.results))]
+    return float(np.quantile(np.concatenate(strains), 0.98)) if strains else None
+
+
+def draw_histories(outcomes, labels, time_scale, path) -> Path:
+    """Run-out R_995 over time in sqrt(h0/g), and below it what is left to come to rest, of each run."""
+    with styled():
+        figure = new_figure(WIDTH, 5.6)
+        run_out = figure.add_axes((0.14, 0.56, 0.82, 0.36))
+        unrest = figure.add_axes((0.14, 0.10, 0.82, 0.36))
+        for outcome, label in zip(outcomes, labels, strict=True):
+            history, mode = outcome.results.history(), outcome.job.mode
+            colour, _, style = SOLVER[mode]
+            time = history["time"] / time_scale
+            run_out.plot(time, history["R_995"], style, color=colour, label=label)
+            if mode == "implicit":
+                unrest.semilogy(time, history["unbalanced"], style, color=colour, label="implicit: out-of-balance")
+            else:
+                ratio = history["KE_grid"] / history["KE_grid"].max()
+                unrest.semilogy(time, ratio, style, color=colour, label="explicit: grid kinetic energy / peak")
+        scene = outcomes[0].results.scene
+        if has_eq4(scene):
+            limit = eq4(scene["geometry"]["aspect_ratio"], tan_theta(scene))
+            run_out.axhline(limit, color=BLACK, linewidth=1.0, label=EQ4_LABEL)
+        run_out.set(ylabel="run-out R_995 [-]")
+        unrest.set(xlabel="(pseudo-)time / sqrt(h0/g) [-]", ylabel="unrest [-]", ylim=(1e-6, None))
+        _legend(run_out)
+        _legend(unrest)
+        return save(figure, path)
+
+
+def draw_cost(points, path, ylabel) -> Path:
+    """Error over wall time on one pair of axes; `points`: rows with solver, label, seconds and error.
+
+    One line a solver's label; the Pareto front of all points is ringed: none of the others is both faster and closer.
+    """
+    with styled():
+        figure, axes = _panel(4.0)
+        for number, label in enumerate(dict.fromkeys(row["label"] for row in points)):
+            rows = sorted((row for row in points if row["label"] == label), key=lambda row: row["seconds"])
+            colour, marker, style = SOLVER[rows[0]["solver"]]
+            colour = colour if label in SOLVER else COLOURS[2 + number % 4]
+            seconds, errors = ([row[key] for row in rows] for key in ("seconds", "error"))
+            axes.loglog(seconds, errors, style if len(rows) > 1 else "", marker=marker, color=colour, label=label)
+            for row in rows:
+                axes.annotate(row["note"], (row["seconds"], row["error"]), (4, 4), textcoords="offset points", size=8)
+        front = pareto_front(points)
+        ringed = [[row[key] for row in front] for key in ("seconds", "error")]
+        axes.loglog(*ringed, "o", ms=13, mfc="none", mec=BLACK, mew=0.8, label="Pareto front")
+        axes.set(xlabel="time stepping, wall time [s]", ylabel=ylabel)
+        axes.margins(0.12)
+        _legend(axes)
+        return save(figure, path)
+
+
+def pareto_front(points) -> list[dict]:
+    """Those of `points` (rows with seconds and error) than which no other is both as fast and as close."""
+    front, best = [], np.inf
+    for row in sorted(points, key=lambda row: (row["seconds"], row["error"])):
+        if row["error"] < best:
+            front.append(row)
+            best = row["error"]
+    return front
+
+
+def draw_stiffness(rows, crossover, path) -> Path:
+    """Wall time over Young's modulus of both solvers; `rows` have solver, young [Pa] and seconds."""
+    with styled():
+        figure, axes = _panel(3.6)
+        for solver, (colour, marker, style) in SOLVER.items():
+            mine = sorted((row for row in rows if row["solver"] == solver), key=lambda row: row["young"])
+            stiffness = np.array([row["young"] for row in mine]) / 1e6
+            seconds = [row["seconds"] for row in mine]
+            axes.loglog(stiffness, seconds, style, marker=marker, color=colour, label=solver)
+            if solver == "explicit" and mine:
+                root = seconds[0] * np.sqrt(stiffness / stiffness[0])
+                axes.loglog(stiffness, root, ":", color=BLACK, linewidth=1.0, label="square root of E")
+        if crossover:
+            axes.axvline(crossover / 1e6, color=GREEN, linewidth=1.0, label=f"as fast at {crossover / 1e6:.3g} MPa")
+        axes.set(xlabel="Young's modulus E [MPa]", ylabel="time stepping, wall time [s]")
+        _legend(axes)
+        return save(figure, path)
+
+
+def draw_run_outs(rows, tangent, path, measure) -> Path:
+    """Run-out over aspect ratio as in Fig. 10 and A1: experiments, Eq. 2, 4, 4 with 5, both forms of Eq. 6, runs.
+
+    `rows`: lambda0, label and the run-out `measure` ("R_max", "R_995"); a line a label.
+    """
+    with styled():
+        figure, axes = _panel(4.6)
+        known = experiments()
+        ratios = [row["lambda0"] for row in rows]
+        fine = np.geomspace(min([*ratios, *known[:, 0]]) * 0.9, max([*ratios, *known[:, 0]]) * 1.1, 400)
+        axes.loglog(*known.T, "x", color=BLACK, ms=5, label="experiments (digitised)")
+        axes.loglog(fine, eq4(fine, tangent), color=BLACK, lw=1.2, label="Eq. 4")
+        axes.loglog(fine, eq45(fine, tangent), "--", color=BLACK, lw=1.2, label="Eq. 5 in Eq. 4")
+        axes.loglog(fine, np.where(fine < 0.74, eq2(fine, tangent), np.nan), ":", color=BLACK, lw=1.0, label="Eq. 2")
+        axes.loglog(fine, np.where(fine < 0.74, np.nan, eq2(fine, tangent)), ":", color=BLACK, lw=1.0)
+        axes.loglog(fine, eq6(fine), "-.", color=RED, lw=1.0, label="Eq. 6, exchanged")
+        axes.loglog(fine, eq6_printed(fine), ":", color=RED, lw=1.0, label="Eq. 6, as printed")
+        for number, label in enumerate(dict.fromkeys(row["label"] for row in rows)):
+            mine = sorted((row for row in rows if row["label"] == label), key=lambda row: row["lambda0"])
+            marker = "D" if label == "implicit" else "o"
+            values = [[row[key] for row in mine] for key in ("lambda0", measure)]
+            axes.loglog(*values, marker, ms=6, color=COLOURS[number % len(COLOURS)], label=label)
+        axes.set(xlabel="aspect ratio h0/r0 [-]", ylabel=f"run-out {measure} [-]")
+        _legend(axes, ncols=2)
+        return save(figure, path)
+
+
+def _panel(height):
+    """A figure with one panel and, above it, room for a legend of a few rows."""
+    figure = new_figure(WIDTH, height)
+    return figure, figure.add_axes((0.14, 0.48 / height, 0.82, (height - 1.35) / height))
+
+
+def _legend(axes, ncols=2):
+    """The legend above the panel, where it hides nothing."""
+    axes.legend(
+        frameon=False, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=ncols, columnspacing=1.2, borderpad=0
+    )
