@@ -15,6 +15,7 @@ from compare.sections import (
     cost_table,
     eq6_section,
     failures,
+    figure,
     runs_table,
     stability_table,
     verdict,
@@ -187,7 +188,7 @@ def _agreement(outcomes, labels, deposits, distances, directory) -> dict:
     if done and outcomes[0].job.scene.geometry.shape == "column":
         draw_profiles(*zip(*done, strict=True), directory / "profiles.png")
         figures.append(
-            _figure("profiles.png", "Azimuthal mean thickness over the radius: mass in a ring over its area.")
+            figure("profiles.png", "Azimuthal mean thickness over the radius: mass in a ring over its area.")
         )
     return {"title": "How far the deposits agree", "text": text, "tables": tables, "figures": figures}
 
@@ -199,7 +200,7 @@ def _shape(fine, directory) -> dict | None:
     for mode, one in fine.items():
         name = f"deposit-{mode}.png"
         draw_plan_and_section(one, mode, directory / name, most)
-        figures.append(_figure(name, f"{mode}: the deposit from above and cut along y = 0, one colour scale for both."))
+        figures.append(figure(name, f"{mode}: the deposit from above and cut along y = 0, one colour scale for both."))
     return {"title": "Shape of the deposits", "text": [], "tables": [], "figures": figures}
 
 
@@ -213,8 +214,8 @@ def _way_to_rest(fine, directory) -> dict | None:
         "The explicit run's time is physical, slowed down by damping; the implicit run's is a pseudo-time that orders "
         "its equilibria. Only where they end can be compared."
     )
-    figure = _figure("histories.png", "Run-out, and below it what is left before rest.")
-    return {"title": "On the way to rest", "text": [text], "tables": [], "figures": [figure]}
+    drawn = figure("histories.png", "Run-out, and below it what is left before rest.")
+    return {"title": "On the way to rest", "text": [text], "tables": [], "figures": [drawn]}
 
 
 def _cost(outcomes, labels, scene, directory) -> dict:
@@ -226,7 +227,7 @@ def _cost(outcomes, labels, scene, directory) -> dict:
             points.append(row | {"note": f"{one.summary['cells_per_radius']:g}"})
     if points:
         draw_cost(points, directory / "cost.png", "|R_995 / Eq. 4 - 1|")
-        figures.append(_figure("cost.png", "Distance from Eq. 4 over wall time; the numbers are cells per r0."))
+        figures.append(figure("cost.png", "Distance from Eq. 4 over wall time; the numbers are cells per r0."))
     text = [
         "Set-up, kernel compilation included where nothing was cached, is apart from time stepping; each run was made "
         "once. `repose study error` measures speed against error over a ladder of resolutions, with repeats."
@@ -236,10 +237,6 @@ def _cost(outcomes, labels, scene, directory) -> dict:
         ratio = implicit["wall_s"] / explicit["wall_s"]
         text.insert(0, f"The implicit run took {ratio:.2f} times the explicit run's time.")
     return {"title": "Cost", "text": text, "tables": [cost_table(outcomes, labels)], "figures": figures}
-
-
-def _figure(name: str, caption: str) -> dict:
-    return {"file": name, "caption": caption, "alt": caption}
 
 
 def _write_table(table: dict, path: Path):

@@ -33,7 +33,7 @@ SOLVER = {"implicit": (BLUE, "o", "-"), "explicit": (ORANGE, "s", "--")}  # colo
 
 
 def draw_profiles(outcomes, labels, path) -> Path:
-    """Mean thickness over the radius of each run's last snapshot, over Eq. 4's solid. Columns only."""
+    """Mean thickness over the radius of each run's last snapshot, over Eq. 4's solid. Columns of one scene only."""
     with styled():
         figure, axes = _panel(3.6)
         scene = outcomes[0].results.scene
@@ -64,13 +64,17 @@ def draw_plan_and_section(outcome, title, path, most) -> Path:
     x, cell, half = last["x"], scene["grid"]["cell"], half_length(scene)
     values, label = colour_values(x, x0, last)
     colours = {"cmap": "viridis", "vmin": 0.0, "vmax": most or np.quantile(values, 0.98) or 1.0, "linewidths": 0}
+    wide, deep, high = np.ptp(np.concatenate([x, x0]), axis=0)
+    panel = 0.84 * WIDTH
+    plan_height, section_height = panel * min(deep / wide, 1.5), panel * np.clip(high / wide, 0.15, 1.5)
+    height = 0.45 + plan_height + 1.0 + section_height + 1.15
     with styled():
-        figure = new_figure(WIDTH, 6.4)
-        plan = figure.add_axes((0.12, 0.42, 0.84, 0.50))
-        section = figure.add_axes((0.12, 0.15, 0.84, 0.20))
+        figure = new_figure(WIDTH, height)
+        plan = figure.add_axes((0.13, 1 - (0.45 + plan_height) / height, 0.84, plan_height / height))
+        section = figure.add_axes((0.13, 1.15 / height, 0.84, section_height / height))
         order = np.argsort(x[:, 2])  # the highest last, on top, as seen from above
         plan.set_aspect("equal")
-        plan.update_datalim(x[:, :2])
+        plan.update_datalim(np.concatenate([x - half, x + half])[:, :2])
         plan.autoscale_view()
         plan.apply_aspect()
         scale = plan.transData.transform([[0, 0], [2 * half, 0]])
@@ -79,9 +83,9 @@ def draw_plan_and_section(outcome, title, path, most) -> Path:
         plan.set(xlabel="x [m]", ylabel="y [m]")
         plan.set_title(f"{title}, from above", loc="left", weight="bold")
         points = draw_section(section, x, x0, values, cell, half, colours)
-        scale_axes = figure.add_axes((0.12, 0.075, 0.84, 0.015))
-        figure.colorbar(points, cax=scale_axes, orientation="horizontal", extend="max").set_label(label, labelpad=1)
-        scale_axes.grid(False)
+        bar = figure.add_axes((0.13, 0.5 / height, 0.84, 0.1 / height))
+        figure.colorbar(points, cax=bar, orientation="horizontal", extend="max", label=label)
+        bar.grid(False)
         return save(figure, path)
 
 

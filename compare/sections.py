@@ -121,6 +121,11 @@ def about(outcomes: list[Outcome], command: str) -> dict:
     return here | {"report made by": command}
 
 
+def figure(name: str, caption: str) -> dict:
+    """A figure of a section, whose caption also says what there is to see."""
+    return {"file": name, "caption": caption, "alt": caption}
+
+
 def relative(value: float, reference: float | None) -> str | None:
     """`value` over `reference` - 1, in percent."""
     return percent(value / reference - 1.0) if reference else None
