@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import numpy as np
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from compare.drawing import (
     BLACK,
@@ -28,7 +29,7 @@ from compare.metrics import half_length, profile
 from mpm.analytic import eq2, eq4, eq6, eq6_printed, eq45, quasistatic_profile
 
 WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
-COLOURS = (BLUE, ORANGE, GREEN, PURPLE, RED, SKY)
+COLOURS = (ORANGE, GREEN, PURPLE, RED, SKY)  # of runs; blue is the implicit solver's
 SOLVER = {"implicit": (BLUE, "o", "-"), "explicit": (ORANGE, "s", "--")}  # colour, marker, line
 
 
@@ -99,8 +100,8 @@ def draw_histories(outcomes, labels, time_scale, path) -> Path:
     """Run-out R_995 over time in sqrt(h0/g), and below it what is left to come to rest, of each run."""
     with styled():
         figure = new_figure(WIDTH, 5.6)
-        run_out = figure.add_axes((0.14, 0.56, 0.82, 0.36))
-        unrest = figure.add_axes((0.14, 0.10, 0.82, 0.36))
+        figure.set_layout_engine("constrained")
+        run_out, unrest = figure.subplots(2, 1, sharex=True)
         for outcome, label in zip(outcomes, labels, strict=True):
             history, mode = outcome.results.history(), outcome.job.mode
             colour, _, style = SOLVER[mode]
@@ -132,7 +133,7 @@ def draw_cost(points, path, ylabel) -> Path:
         for number, label in enumerate(dict.fromkeys(row["label"] for row in points)):
             rows = sorted((row for row in points if row["label"] == label), key=lambda row: row["seconds"])
             colour, marker, style = SOLVER[rows[0]["solver"]]
-            colour = colour if label in SOLVER else COLOURS[2 + number % 4]
+            colour = colour if label in SOLVER else COLOURS[1 + number % 4]
             seconds, errors = ([row[key] for row in rows] for key in ("seconds", "error"))
             axes.loglog(seconds, errors, style if len(rows) > 1 else "", marker=marker, color=colour, label=label)
             for row in rows:
@@ -142,6 +143,7 @@ def draw_cost(points, path, ylabel) -> Path:
         axes.loglog(*ringed, "o", ms=13, mfc="none", mec=BLACK, mew=0.8, label="Pareto front")
         axes.set(xlabel="time stepping, wall time [s]", ylabel=ylabel)
         axes.margins(0.12)
+        _plain_numbers(axes.xaxis, axes.yaxis)
         _legend(axes)
         return save(figure, path)
 
@@ -171,6 +173,7 @@ def draw_stiffness(rows, crossover, path) -> Path:
         if crossover:
             axes.axvline(crossover / 1e6, color=GREEN, linewidth=1.0, label=f"as fast at {crossover / 1e6:.3g} MPa")
         axes.set(xlabel="Young's modulus E [MPa]", ylabel="time stepping, wall time [s]")
+        _plain_numbers(axes.xaxis, axes.yaxis)
         _legend(axes)
         return save(figure, path)
 
@@ -194,22 +197,32 @@ def draw_run_outs(rows, tangent, path, measure) -> Path:
         axes.loglog(fine, eq6_printed(fine), ":", color=RED, lw=1.0, label="Eq. 6, as printed")
         for number, label in enumerate(dict.fromkeys(row["label"] for row in rows)):
             mine = sorted((row for row in rows if row["label"] == label), key=lambda row: row["lambda0"])
-            marker = "D" if label == "implicit" else "o"
+            marker, colour = ("D", BLUE) if label == "implicit" else ("o", COLOURS[number % len(COLOURS)])
             values = [[row[key] for row in mine] for key in ("lambda0", measure)]
-            axes.loglog(*values, marker, ms=6, color=COLOURS[number % len(COLOURS)], label=label)
+            axes.loglog(*values, marker, ms=6, color=colour, label=label)
         axes.set(xlabel="aspect ratio h0/r0 [-]", ylabel=f"run-out {measure} [-]")
-        _legend(axes, ncols=2)
+        _plain_numbers(axes.xaxis, axes.yaxis)
+        _legend(axes)
         return save(figure, path)
 
 
 def _panel(height):
-    """A figure with one panel and, above it, room for a legend of a few rows."""
+    """A figure with one panel; room for the legend above it is made when it is drawn."""
     figure = new_figure(WIDTH, height)
-    return figure, figure.add_axes((0.14, 0.48 / height, 0.82, (height - 1.35) / height))
+    figure.set_layout_engine("constrained")
+    return figure, figure.subplots()
 
 
-def _legend(axes, ncols=2):
+def _legend(axes):
     """The legend above the panel, where it hides nothing."""
-    axes.legend(
-        frameon=False, loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=ncols, columnspacing=1.2, borderpad=0
-    )
+    axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, columnspacing=1.2, borderpad=0.2)
+
+
+def _plain_numbers(*axes):
+    """Label logarithmic axes with 0.5, 1, 2 and so on instead of powers of ten."""
+    for axis in axes:
+        low, high = axis.get_view_interval()
+        wide = np.log10(high / low) > 2.5
+        axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())

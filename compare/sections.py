@@ -14,13 +14,14 @@ WHAT_MEASURES_MEAN = [
     "to the axis. h_inf is the final height. Cells per r0 is the resolution: the paper's is 20.",
     "The flank angle is that of a straight line fitted to the azimuthal mean thickness where it is between 10 and 85 % "
     "of its greatest. The distance between two profiles is the volume between their mean thicknesses over the "
-    "deposit's: 0 for the same profile, 2 for deposits that do not overlap. Volume gain: points that open swell.",
+    "deposit's: 0 for the same profile, 2 for deposits that do not overlap. Volume gain: points that open swell. An "
+    "explicit run is given up as not at rest after 60 sqrt(h0/g).",
 ]
 HOW_ENDED = {
     "rest": "at rest",
-    "max_time": "not at rest after 60 sqrt(h0/g)",
+    "max_time": "time up, not at rest",
     "end_time": "end time",
-    "max_steps": "not at rest after the most steps",
+    "max_steps": "steps up, not at rest",
 }
 
 
