@@ -44,9 +44,9 @@ class Job:
 
     @cached_property
     def key(self) -> str:
-        """Digest of all that decides the result: resolved scene, mode, regularisation, device and the solvers' code."""
+        """Digest of all that decides the result: resolved scene, mode, regularisation, device and the solver's code."""
         decides = [self.scene.model_dump(mode="json"), self.mode, self.regularisation]
-        decides += [device_name(self.device), code_version(), self.repeat]
+        decides += [device_name(self.device), code_version(self.mode), self.repeat]
         return hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()[:12]
 
     @property

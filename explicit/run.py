@@ -9,7 +9,7 @@ from explicit.solver import ExplicitSolver
 from mpm.config import Scene
 from mpm.devices import find_device
 from mpm.errors import NumericalError, StepRefused
-from mpm.provenance import provenance
+from mpm.provenance import code_version, provenance
 from mpm.results import Results
 from mpm.running import Run, body_of, reopen
 from mpm.runout import front
@@ -32,8 +32,9 @@ def run(scene: Scene, directory, device="cpu", force=False, monitor=None) -> dic
     started = time.perf_counter()
     place = find_device(device)
     body = build(scene)
-    described = provenance(device, scene.explicit.precision)
-    results = Results.create(directory, scene.model_dump(mode="json"), {**described, "mode": ExplicitRun.mode}, force)
+    mode = ExplicitRun.mode
+    described = provenance(device, scene.explicit.precision) | {"mode": mode, "code": code_version(mode)}
+    results = Results.create(directory, scene.model_dump(mode="json"), described, force)
     this = ExplicitRun(body, results, place)
     this.begin()
     return this.go(started, monitor)

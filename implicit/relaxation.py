@@ -8,7 +8,7 @@ overstress. All three act on the increment and vanish with it.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from mpm.scene import Body
 
@@ -28,7 +28,8 @@ class Regularisation:
     `drag` [-]: on M u/dt^2. `momentum` [-]: share of the velocity carried from step to step; 0 quasistatic, 1 full
     inertia. `ghost` [-]: face ghost penalty over rho g h0, in steps up to sqrt(cell/g)/2; in longer ones it falls as
     1/dt. `viscosity` [-]: overstress per plastic shear strain of a step, over rho g h0. `reach` [-]: distance in
-    cells that all but 2 % of the points may go in a step. `cap` [-]: longest step, in sqrt(cell/g).
+    cells that all but 2 % of the points may go in a step. `cap` [-]: longest step, in sqrt(cell/g). `stiffest` [-]:
+    Young's modulus over rho g h0 up to which a cohesionless material keeps its own (see `softened`).
     """
 
     drag: float = 1.0
@@ -37,6 +38,7 @@ class Regularisation:
     viscosity: float = 0.1
     reach: float = 0.3
     cap: float = 3.0
+    stiffest: float = 600.0
 
     def of_step(self, body: Body, dt: float) -> dict[str, float]:
         """Arguments of `System.resist` for a step of `dt` [s]."""
@@ -51,6 +53,23 @@ class Regularisation:
             "dt": dt,
             "momentum": self.momentum,
         }
+
+    def softened(self, body: Body) -> Body:
+        """The body as its collapse is followed: E at most `stiffest` rho g h0, Poisson's ratio kept.
+
+        A stiffer material has its kinks closer together, in displacement by the ratio of the moduli, and Newton needs
+        as many more steps, for a deposit that rests on friction and volume and not on elastic strains of a
+        thousandth: benchmarks/results/implicit_stiffness_cpu.csv. The stress at rest balances gravity whatever the
+        modulus. A body that can stand keeps its E, since its displacements are elastic: one with cohesion, an
+        elastic one, one whose gravity comes in load steps.
+        """
+        scene, constants = body.scene, body.constants
+        collapses = constants.plastic and constants.xi == 0 and scene.implicit.initial_stress == "geostatic"
+        if not collapses:
+            return body
+        share = min(1.0, self.stiffest * constants.density * scene.loads.gravity * body.height / scene.material.young)
+        softer = replace(constants, bulk=share * constants.bulk, shear=share * constants.shear)
+        return replace(body, constants=softer)
 
 
 class StepLength:

@@ -10,7 +10,7 @@ from implicit.solver import ImplicitSolver
 from mpm.config import Scene
 from mpm.devices import start_warp
 from mpm.errors import NumericalError, SceneError
-from mpm.provenance import provenance
+from mpm.provenance import code_version, provenance
 from mpm.results import Results
 from mpm.running import Run, body_of, reopen
 from mpm.runout import front
@@ -33,7 +33,8 @@ def run(
     body = build(scene)
     solver = ImplicitSolver(body, regularisation)  # before the folder: it refuses some scenes
     described = provenance(ImplicitRun.device, ImplicitRun.precision)
-    described |= {"mode": ImplicitRun.mode} | {KEPT + name: value for name, value in asdict(regularisation).items()}
+    described |= {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
+    described |= {KEPT + name: value for name, value in asdict(regularisation).items()}
     this = ImplicitRun(body, Results.create(directory, scene.model_dump(mode="json"), described, force), solver)
     this.begin()
     return this.go(started, monitor)
@@ -150,6 +151,7 @@ class ImplicitRun(Run):
         return {
             **{name: getattr(solver, name) for name in names},
             "regularisation": asdict(solver.regularisation),
+            "young_used": self.body.scene.material.young * solver.body.constants.shear / self.body.constants.shear,
             "nodes_stored_start": solver.nodes_solved_start,
             "nodes_stored_max": solver.nodes_solved_max,
         }

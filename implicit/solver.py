@@ -37,7 +37,8 @@ class ImplicitSolver:
         """Raises SceneError for a scene that the implicit solver cannot run."""
         scene = body.scene
         _refuse(scene)
-        self.body, self.regularisation = body, regularisation
+        self.body = body = regularisation.softened(body)
+        self.regularisation = regularisation
         self.cell, self.gravity = scene.grid.cell, scene.loads.gravity
         self.points = len(body.x)
         self.state = Points(body)

@@ -54,6 +54,36 @@ def test_a_small_column_rests_near_eq4_without_a_failed_step(small):
     assert solver.unbalanced_ratio <= 1e-2
 
 
+def test_stiffness_costs_nothing_and_hardly_moves_the_front(small):
+    """A hundred times stiffer: 0.310 is the damped explicit run's R_995 with that modulus (`repose run column_small
+    --set material.young=5.84e8`, benchmarks/results/implicit_stiffness_cpu.csv)."""
+    solver, measures = collapse("column_small", "material.young=5.84e8")
+    assert measures["R_995"] == pytest.approx(0.310, rel=0.03)
+    assert solver.newton_iterations < 2 * small[0].newton_iterations
+    assert solver.unbalanced_ratio <= 1e-2
+
+
+def test_only_a_cohesionless_collapse_is_softened():
+    """E = 600 rho g h0 at most, Poisson's ratio kept; what can stand keeps its own modulus."""
+
+    def moduli(scene, *settings):
+        body = build(load_scene(scene, list(settings)))
+        return body.constants, Regularisation().softened(body).constants
+
+    given, used = moduli("column_small", "material.young=5.84e8")
+    young = 9.0 * used.bulk * used.shear / (3.0 * used.bulk + used.shear)
+    assert young == pytest.approx(600 * 2000 * 9.81 * 0.5)
+    assert used.bulk / used.shear == pytest.approx(given.bulk / given.shear)
+    for scene, *settings in (
+        ("column_small",),
+        ("column_small", "material.young=5.84e8", "material.cohesion=100.0"),
+        ("column_small", "material.young=5.84e8", "implicit.initial_stress=none"),
+        ("self_weight", "material.young=5.84e8"),
+    ):
+        given, used = moduli(scene, *settings)
+        assert used == given
+
+
 def test_inertia_carries_the_front_farther(small):
     """Full momentum (carry-over 1) is the dynamic collapse: it must overshoot the quasistatic one."""
     dynamic = collapse("column_small", momentum=1.0)[1]["R_995"]

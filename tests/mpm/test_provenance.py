@@ -109,7 +109,7 @@ def test_peak_memory_is_this_process_and_grows_by_what_is_allocated():
 
 def test_installed_lists_each_library_with_its_version():
     packages = {package.name: package for package in pv.installed()}
-    names = "numpy scipy pydantic h5py meshio matplotlib warp dolfinx petsc4py"
+    names = "numpy scipy pydantic h5py meshio matplotlib jinja2 warp dolfinx petsc4py"
     assert set(packages) == set(names.split())
     assert packages["numpy"].version == np.__version__
     assert all(package.needed_for and package.how_to_get for package in packages.values())
@@ -137,3 +137,24 @@ def test_warp_devices_name_the_host_first():
 def test_without_warp_there_are_no_devices(monkeypatch):
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     assert pv.warp_devices() == []
+
+
+def test_code_version_is_that_of_the_solver_and_what_it_stands_on(tmp_path, monkeypatch):
+    """A change in mpm concerns both solvers, one in implicit only its own; what is not Python concerns none."""
+    for path in ("mpm/a.py", "explicit/kernels/b.py", "implicit/c.py"):
+        (tmp_path / path).parent.mkdir(parents=True)
+        (tmp_path / path).write_text("x = 1\n")
+    monkeypatch.setattr(pv, "PROJECT", tmp_path)
+
+    def versions():
+        return pv.code_version("explicit"), pv.code_version("implicit")
+
+    first = versions()
+    (tmp_path / "mpm/scene.toml").write_text("y = 2\n")
+    assert versions() == first
+    (tmp_path / "implicit/c.py").write_text("x = 2\n")
+    second = versions()
+    assert (second[0] == first[0], second[1] == first[1]) == (True, False)
+    (tmp_path / "mpm/a.py").write_text("x = 2\n")
+    third = versions()
+    assert third[0] != second[0] and third[1] != second[1]
