@@ -88,6 +88,7 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
     Raises KeyboardInterrupt after every process has saved its state: the same call then goes on from there.
     """
     outcomes: list[Outcome | None] = [None] * len(jobs)
+    folders = [directory / f"{job.name}-{job.key}" for job in jobs]  # every scene is resolved before any run starts
     waiting = list(range(len(jobs)))
     active: dict[int, tuple[Path, subprocess.Popen]] = {}
     monitor.start(jobs)
@@ -95,8 +96,7 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
         while waiting or active:
             while waiting and len(active) < workers:
                 number = waiting.pop(0)
-                job = jobs[number]
-                folder = directory / f"{job.name}-{job.key}"
+                job, folder = jobs[number], folders[number]
                 if not force and (folder / OUTCOME).is_file():
                     outcomes[number] = _outcome(job, folder, reused=True)
                     monitor.ended(outcomes[number])

@@ -241,6 +241,8 @@ def _report(directory: Path, force: bool, make, *arguments):
     page = write_report(report, directory)
     out.print(f"verdict: {report['verdict']['sentence']}")
     out.print(f"report in {page}")
+    if report["failed"]:
+        raise typer.Exit(NumericalError.exit_code)
 
 
 def _draw(directory: Path) -> list[Path]:

@@ -55,7 +55,6 @@ def ladder(reference: str, settings: list[str], cells: list[float], finer: list[
         jobs += [job(mode, cells[1], f"-E{factor}", young) for mode in ("explicit", "implicit")]
     jobs += [job("explicit", cells[2], f"-cfl{cfl}", f"explicit.cfl={cfl}") for cfl in CFL]
     jobs += [job("implicit", cells[2], f"-reach{reach}", regularisation={"reach": reach}) for reach in REACH]
-    # Resolving every scene here tells one that does not fit before hours of runs.
     return sorted(jobs, key=lambda one: one.scene.material.young**0.5 / one.scene.grid.cell**4, reverse=True)
 
 
@@ -105,6 +104,7 @@ def study_error(
         "checks": checks,
         "sections": sections,
         "provenance": about([one for outcomes in measured for one in outcomes], command),
+        "failed": [f"{one.job.name} failed: {one.reason}" for outcomes in measured for one in outcomes if not one.done],
         "limits": limits,
         "rows": rows,
     }

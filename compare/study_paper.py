@@ -90,6 +90,7 @@ def study_paper(
             eq6_section(),
         ],
         "provenance": about(outcomes, command),
+        "failed": failures(outcomes, labels),
         "rows": rows,
     }
 

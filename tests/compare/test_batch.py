@@ -1,0 +1,131 @@
+"""Runs of a study: kept and reused, gone on with where they stopped, failures reported without losing the others."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from compare import batch
+from compare.batch import Job, run_all
+from mpm.errors import SceneError
+from mpm.results import Results
+
+FAST = ("grid.cell=0.25", "explicit.until=0.05", "output.vtk=false")
+
+
+class Quiet:
+    """A monitor that only remembers which runs ended, and how."""
+
+    def __init__(self):
+        self.names = []
+
+    def start(self, jobs):
+        self.jobs = jobs
+
+    def look(self, job, log):
+        pass
+
+    def ended(self, outcome):
+        self.names.append((outcome.job.name, outcome.reused))
+
+    def stop(self):
+        self.stopped = True
+
+
+def job(name="a", *settings, **named):
+    return Job(name, "column_small", (*FAST, *settings), "explicit", **named)
+
+
+def test_a_run_is_kept_and_another_setting_never_meets_it(tmp_path):
+    first = run_all([job()], tmp_path, 1, False, Quiet())[0]
+    assert first.done and first.summary["sim_time"] == pytest.approx(0.05)
+    monitor = Quiet()
+    again, other = run_all([job(), job("a", "explicit.damping=0.1")], tmp_path, 1, False, monitor)
+    assert monitor.names == [("a", True), ("a", False)]
+    assert monitor.stopped
+    assert again.summary == first.summary
+    assert again.folder == first.folder != other.folder
+
+
+def test_the_solvers_code_and_the_device_are_part_of_what_a_run_is(monkeypatch):
+    key = job().key
+    monkeypatch.setattr(batch, "code_version", lambda mode: "other")
+    assert job().key != key
+    monkeypatch.undo()
+    monkeypatch.setattr(batch, "device_name", lambda device: "other")
+    assert job().key != key
+    monkeypatch.undo()
+    assert job("b").key == key  # the name is the study's
+
+
+def test_force_runs_it_again(tmp_path):
+    first = run_all([job()], tmp_path, 1, False, Quiet())[0]
+    date = first.results.provenance["date"]
+    time.sleep(1.1)  # dates are to the second
+    again = run_all([job()], tmp_path, 1, True, Quiet())[0]
+    assert not again.reused
+    assert again.results.provenance["date"] > date
+    assert again.summary["R_995"] == first.summary["R_995"]
+
+
+def test_a_failed_run_says_why_and_the_others_go_on(tmp_path):
+    jobs = [job("bad", "explicit.time_step=0.05"), job("good")]
+    bad, good = run_all(jobs, tmp_path, 2, False, Quiet())
+    assert not bad.done and good.done
+    assert "Courant limit" in bad.reason
+    kept = run_all(jobs[:1], tmp_path, 1, False, Quiet())[0]
+    assert kept.reused and kept.reason == bad.reason
+
+
+@pytest.mark.parametrize(("script", "how"), [("exit 7", "exit code 7"), ("kill -9 $$", "signal 9")])
+def test_a_process_that_dies_is_a_failed_run_and_is_tried_again(tmp_path, monkeypatch, script, how):
+    shell = tmp_path / "python"
+    shell.write_text(f"#!/bin/sh\necho last words\n{script}\n")
+    shell.chmod(0o755)
+    monkeypatch.setattr(batch.sys, "executable", str(shell))
+    (dead,) = run_all([job()], tmp_path / "runs", 1, False, Quiet())
+    assert not dead.done
+    assert how in dead.reason and "last words" in dead.reason
+    monkeypatch.undo()
+    assert run_all([job()], tmp_path / "runs", 1, False, Quiet())[0].done
+
+
+def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_path):
+    """A study is interrupted as its run has passed a checkpoint; its end is that of a run that was not."""
+    settings = ("grid.cell=0.25", "explicit.until=6.0", "output.every=0.5", "output.vtk=false")
+    code = (
+        "import sys; from pathlib import Path; sys.path.insert(0, 'TESTS');"
+        "from test_batch import Quiet; from compare.batch import Job, run_all;"
+        f"run_all([Job('a', 'column_small', {settings!r}, 'explicit')], Path('runs'), 1, False, Quiet())"
+    ).replace("TESTS", os.path.dirname(__file__))
+    study = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (found := list(tmp_path.glob("runs/*/checkpoint.h5"))) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    study.send_signal(signal.SIGINT)
+    _, err = study.communicate(timeout=60)
+    assert "the same command goes on" in err
+    assert not (found[0].parent / "summary.json").exists()
+    one = Job("a", "column_small", settings, "explicit")
+    (resumed,) = run_all([one], tmp_path / "runs", 1, False, Quiet())
+    (whole,) = run_all([one], tmp_path / "whole", 1, False, Quiet())
+    assert not resumed.reused
+    assert resumed.summary["R_995"] == whole.summary["R_995"]
+    assert resumed.summary["steps"] == whole.summary["steps"]
+    assert (Results.open(found[0].parent).times == whole.results.times).all()
+
+
+def test_a_bad_scene_is_told_before_anything_runs(tmp_path):
+    with pytest.raises(SceneError, match="poisson"):
+        run_all([job(), job("b", "material.poisson=2")], tmp_path, 1, False, Quiet())
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_makes_the_same_run():
+    assert job("a", "explicit.damping=0.4").command == (
+        "repose run column_small --mode explicit --device cpu --set grid.cell=0.25 --set explicit.until=0.05 "
+        "--set output.vtk=false --set explicit.damping=0.4"
+    )

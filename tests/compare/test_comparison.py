@@ -1,0 +1,232 @@
+"""`repose compare` and `repose study`: reports of real, short runs, whose page, JSON and table say the same."""
+
+import csv
+import html
+import importlib.util
+import json
+import re
+import sys
+
+import pytest
+from browser import measure
+
+from compare import cli, study_error, study_paper
+from compare.comparison import plan
+from compare.figures import pareto_front
+from compare.sections import check, verdict
+from compare.study_error import _crossover, _limit
+from mpm.errors import SceneError
+
+pytestmark = pytest.mark.skipif(
+    None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
+    reason="dolfinx or petsc4py is not installed (see ./repose info)",
+)
+SHORT = ("--set", "grid.cell=0.25", "--set", "explicit.max_time=0.2", "--set", "implicit.max_steps=3")
+
+
+def repose(*arguments) -> int:
+    """Exit code of `repose ARGUMENTS`."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["repose", *map(str, arguments)])
+        with pytest.raises(SystemExit) as end:
+            cli.main()
+    return end.value.code or 0
+
+
+def text_of(page) -> str:
+    """What a reader of the page reads, tags and line breaks left out."""
+    return " ".join(html.unescape(re.sub(r"<[^>]*>", " ", page)).split())
+
+
+def rows_of(folder) -> list[dict[str, str]]:
+    """The rows of the report's table."""
+    with open(folder / "table.csv", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """A short comparison: its folder and report.json."""
+    folder = tmp_path_factory.mktemp("compare") / "out"
+    assert repose("compare", "column_small", *SHORT, "--out", folder) == 0
+    return folder, json.loads((folder / "report.json").read_text())
+
+
+def test_page_json_and_table_say_the_same(compared):
+    folder, report = compared
+    page = text_of((folder / "report.html").read_text(encoding="utf-8"))
+    assert report["verdict"]["sentence"] in page
+    holding = sum(one["holds"] is True for one in report["checks"])
+    assert report["verdict"]["sentence"].startswith(f"{holding} of {len(report['checks'])} checks hold.")
+    assert report["verdict"]["holds"] == (holding == len(report["checks"]))
+    for one in report["checks"]:
+        assert one["name"] in page and one["sentence"] in page
+        if one["holds"] is not None:
+            assert one["holds"] == (abs(one["value"]) <= one["limit"])
+    rows = rows_of(folder)
+    assert [row["run"] for row in rows] == list(report["deposits"])
+    for row in rows:
+        assert float(row["R_995"]) == report["deposits"][row["run"]]["R_995"]
+
+
+def test_the_report_is_made_of_what_the_runs_say(compared):
+    folder, report = compared
+    summaries = [json.loads(path.read_text()) for path in folder.glob("runs/*/summary.json")]
+    assert len(summaries) == len(report["runs"]) == 4
+    for label, summary in report["runs"].items():
+        assert summary in summaries
+        assert report["deposits"][label]["R_995"] == pytest.approx(summary["R_995"], abs=1e-6)  # single precision
+    checks = {one["name"]: one for one in report["checks"]}
+    implicit, explicit = report["runs"]["implicit"], report["runs"]["explicit, D = 0.4"]
+    off = checks["implicit run-out agrees with Eq. 4"]
+    assert off["value"] == pytest.approx(implicit["R_995"] / implicit["eq4"] - 1.0, abs=1e-4)
+    assert off["holds"] is False  # three steps are no collapse
+    assert checks["explicit run came to rest"]["holds"] is False
+    assert explicit["stop_reason"] == "max_time"
+    assert report["provenance"]["report made by"].startswith("repose compare column_small --set grid.cell=0.25")
+
+
+@pytest.mark.parametrize("width", [1280, 420])
+def test_browser_shows_every_figure_and_table(compared, tmp_path, width):
+    folder, report = compared
+    seen = measure(folder / "report.html", width, tmp_path)
+    figures = [one for section in report["sections"] for one in section["figures"]]
+    assert len(seen["images"]) == len(figures) == 5
+    assert all(image["natural_width"] > 0 and image["width"] > 250 for image in seen["images"])
+    tables = [one for section in report["sections"] for one in section["tables"]]
+    assert len(seen["tables"]) == len(tables) + 1  # provenance
+    assert all(table["rows"] > 0 for table in seen["tables"])
+    assert seen["scroll_width"] <= seen["client_width"]
+    assert seen["font_size"] >= 14
+
+
+def test_the_same_comparison_reuses_its_runs_and_another_is_refused(compared, capsys):
+    folder, _ = compared
+    capsys.readouterr()
+    assert repose("compare", "column_small", *SHORT, "--out", folder) == 0
+    assert capsys.readouterr().out.count("kept from an earlier call") == 4
+    assert repose("compare", "column_small", *SHORT, "--set", "material.friction_angle=30.0", "--out", folder) == 2
+    assert "choose another --out, or --force replaces it" in capsys.readouterr().err
+
+
+def test_a_failed_run_is_in_the_report_with_its_reason(tmp_path):
+    folder = tmp_path / "out"
+    assert repose("compare", "column_small", *SHORT, "--set", "explicit.time_step=0.05", "--out", folder) == 3
+    report = json.loads((folder / "report.json").read_text())
+    page = text_of((folder / "report.html").read_text(encoding="utf-8"))
+    assert len(report["failed"]) == 2 and "Courant limit" in report["failed"][0]
+    assert "failed: time step over the Courant limit" in page
+    checks = {one["name"]: one["holds"] for one in report["checks"]}
+    assert checks["implicit run-out agrees with explicit"] is None
+    assert "could not be judged: implicit run-out agrees with explicit" in report["verdict"]["sentence"]
+
+
+def test_a_box_that_stands_has_no_run_out_to_compare(tmp_path):
+    folder = tmp_path / "out"
+    settings = ("--set", "implicit.load_steps=2", "--set", "explicit.max_time=0.5")
+    assert repose("compare", "self_weight", *settings, "--out", folder) == 0
+    report = json.loads((folder / "report.json").read_text())
+    assert not any("run-out" in one["name"] for one in report["checks"])
+    assert {one["name"] for one in report["checks"]} >= {"profiles agree", "implicit keeps its volume"}
+
+
+def test_without_gravity_there_is_nothing_to_compare():
+    with pytest.raises(SceneError, match="gravity"):
+        plan("column_small", ["loads.gravity=0.0", "explicit.until=1.0", "output.history_every=0.1"], "cpu")
+
+
+def test_a_grid_that_does_not_fit_twice_the_cell_is_compared_alone():
+    assert [one.name for one in plan("column_small", [], "cpu")] == [
+        *("implicit", "explicit", "implicit-coarse", "explicit-coarse")
+    ]
+    assert [one.name for one in plan("column_small", ["grid.cell=0.2"], "cpu")] == ["implicit", "explicit"]
+
+
+def test_study_paper_judges_the_papers_claims(tmp_path, monkeypatch):
+    """Three cells per r0: a collapse to rest in a second, too coarse to agree with anything, and it says so."""
+    monkeypatch.setattr(study_paper, "QUICK_CELLS", 3)
+    monkeypatch.setattr(study_paper, "QUICK_IMPLICIT_CELLS", 3)
+    folder = tmp_path / "out"
+    asked = ("study", "paper", "--quick", "--lambda0", "0.5", "1", "--damping", "0.05", "0.4", "--out", folder)
+    assert repose(*asked) == 0
+    report = json.loads((folder / "report.json").read_text())
+    assert [(row["lambda0"], row["label"]) for row in report["rows"]] == [
+        *(
+            (0.5, "D = 0.05"),
+            (0.5, "D = 0.4"),
+            (1.0, "D = 0.05"),
+            (1.0, "D = 0.4"),
+            (0.5, "implicit"),
+            (1.0, "implicit"),
+        )
+    ]
+    names = [one["name"] for one in report["checks"]]
+    for ratio in ("0.5", "1"):
+        assert f"D = 0.4 ends near Eq. 4 at lambda0 = {ratio}" in names
+        assert f"D = 0.05 ends near the experiments at lambda0 = {ratio}" in names
+        assert f"run-out falls with D at lambda0 = {ratio}" in names
+    assert "The misprint of Eq. 6" in [section["title"] for section in report["sections"]]
+    page = text_of((folder / "report.html").read_text(encoding="utf-8"))
+    assert report["verdict"]["sentence"] in page
+    assert len(rows_of(folder)) == 6
+
+
+def test_study_error_has_a_point_for_every_resolution_precision_step_and_stiffness(tmp_path, monkeypatch):
+    monkeypatch.setattr(study_error, "REPEATS", 2)
+    folder = tmp_path / "out"
+    settings = ("--set", "explicit.max_time=0.1", "--set", "implicit.max_steps=2")
+    asked = ("study", "error", "column_small", "--cells", "2", "3", "4", *settings, "--jobs", "2", "--out", folder)
+    assert repose(*asked) == 0
+    report = json.loads((folder / "report.json").read_text())
+    points = {(row["family"], row["cells"], row["changed"]) for row in report["rows"]}
+    for family in ("explicit", "explicit, float32", "implicit"):
+        assert {(family, count, "") for count in (2, 3, 4)} <= points
+    assert {(mode, 3, change) for mode in ("explicit", "implicit") for change in ("E10", "E100")} <= points
+    assert {("explicit", 4, "cfl0.25"), ("implicit", 4, "reach0.6")} <= points
+    assert all(row["repeats"] == 2 and row["fastest"] <= row["seconds"] <= row["slowest"] for row in report["rows"])
+    assert len(rows_of(folder)) == len(points) == 17
+
+
+def test_three_resolutions_are_needed_to_extrapolate(capsys, tmp_path):
+    assert repose("study", "error", "column_small", "--cells", "4", "8", "--out", tmp_path / "out") == 2
+    assert "three resolutions at least" in capsys.readouterr().err
+
+
+def test_limit_is_richardsons_or_the_finest_runs():
+    def rows(values):
+        return [{"cells": count, "R_995": value} for count, value in zip((5, 10, 20), values, strict=True)]
+
+    found = _limit(rows([0.3 + 0.2 / 5, 0.3 + 0.2 / 10, 0.3 + 0.2 / 20]))
+    assert found["converged"] and found["value"] == pytest.approx(0.3) and found["order"] == pytest.approx(1.0)
+    found = _limit(rows([0.3, 0.4, 0.35]))
+    assert not found["converged"] and found["value"] == 0.35 and found["reason"]
+    assert _limit(rows([0.3, None, 0.35])) is None
+
+
+def test_crossover_of_a_flat_and_a_rising_line():
+    """Explicit 1 s at 1 MPa, rising with the square root of E; implicit 3 s throughout: they cross at 9 MPa."""
+    stiff = [
+        {"solver": solver, "young": young, "seconds": seconds}
+        for young, root in ((1e6, 1.0), (1e8, 10.0))
+        for solver, seconds in (("explicit", root), ("implicit", 3.0))
+    ]
+    found, sentence = _crossover(stiff)
+    assert found == pytest.approx(9e6)
+    assert "below which the explicit one is faster" in sentence
+    found, sentence = _crossover([row | {"seconds": 1e-3} if row["solver"] == "implicit" else row for row in stiff])
+    assert found is None and "the implicit solver is the faster one" in sentence
+
+
+def test_pareto_front_is_what_nothing_beats_in_both():
+    points = [{"seconds": s, "error": e} for s, e in ((1, 0.5), (2, 0.6), (3, 0.1), (4, 0.1), (5, 0.05), (3, 0.2))]
+    assert [(one["seconds"], one["error"]) for one in pareto_front(points)] == [(1, 0.5), (3, 0.1), (5, 0.05)]
+
+
+def test_verdict_counts_and_names():
+    checks = [check("a", 0.05, 0.1, ""), check("b", -0.2, 0.1, ""), check("c", None, 0.1, "")]
+    assert [one["holds"] for one in checks] == [True, False, None]
+    assert verdict(checks) == {
+        "holds": False,
+        "sentence": "1 of 3 checks hold. These do not: b. These could not be judged: c.",
+    }
+    assert verdict(checks[:1]) == {"holds": True, "sentence": "1 of 1 checks hold."}
