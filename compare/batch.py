@@ -1,5 +1,6 @@
 """Runs of a study, each in a process of its own: kept, reused, gone on with, and failed ones reported as such."""
 
+import fcntl
 import hashlib
 import json
 import os
@@ -8,15 +9,19 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 from compare.worker import INTERRUPTED, JOB, OUTCOME
-from mpm.config import Scene, load_scene
+from mpm.config import Mesh, Scene, load_scene
+from mpm.devices import find_device
+from mpm.errors import SceneError
 from mpm.provenance import code_version, device_name
 from mpm.results import Results
 
+LOCK = "lock"
 LOOK_EVERY = 0.2  # [s] between looks at the processes
 # A run takes one core, so that those of a batch can be compared and run side by side.
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
@@ -44,9 +49,19 @@ class Job:
 
     @cached_property
     def key(self) -> str:
-        """Digest of all that decides the result: resolved scene, mode, regularisation, device and the solver's code."""
+        """Digest of all that decides the result: resolved scene, mode, regularisation, device and the solver's code.
+
+        Raises SceneError for a device that is not there, with a list of those that are, or an unreadable mesh file.
+        """
+        find_device(self.device)
         decides = [self.scene.model_dump(mode="json"), self.mode, self.regularisation]
         decides += [device_name(self.device), code_version(self.mode), self.repeat]
+        if isinstance(self.scene.geometry, Mesh):
+            file = Path(self.scene.geometry.file)
+            try:
+                decides.append(hashlib.sha256(file.read_bytes()).hexdigest())
+            except OSError as error:
+                raise SceneError(f"geometry.file = {file}: {error.strerror}") from error
         return hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()[:12]
 
     @property
@@ -54,7 +69,7 @@ class Job:
         """The command that makes the same run, or the benchmark's where the command line has no such setting."""
         words = ["repose", "run", self.reference, "--mode", self.mode, "--device", self.device]
         if self.regularisation:
-            words = ["python", "benchmarks/implicit_runs.py", self.reference]
+            words = ["python", "benchmarks/implicit_runs.py", self.reference, "--table", "FILE"]
             words += [word for name, value in self.regularisation.items() for word in ("--reg", f"{name}={value:g}")]
         return shlex.join(words + [word for item in self.settings for word in ("--set", item)])
 
@@ -85,53 +100,68 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
 
     A run's folder is `directory`/NAME-KEY, so that another scene, device or version of the code never meets it.
     `force` runs all of them again. `monitor` has `start(jobs)`, `look(job, log)`, `ended(outcome)` and `stop()`.
-    Raises KeyboardInterrupt after every process has saved its state: the same call then goes on from there.
+    Raises SceneError where another call is at work in `directory`, and KeyboardInterrupt after every process has saved
+    its state: the same call, without `force`, then goes on from there.
     """
     outcomes: list[Outcome | None] = [None] * len(jobs)
     folders = [directory / f"{job.name}-{job.key}" for job in jobs]  # every scene is resolved before any run starts
     waiting = list(range(len(jobs)))
     active: dict[int, tuple[Path, subprocess.Popen]] = {}
-    monitor.start(jobs)
-    try:
-        while waiting or active:
-            while waiting and len(active) < workers:
-                number = waiting.pop(0)
-                job, folder = jobs[number], folders[number]
-                if not force and (folder / OUTCOME).is_file():
-                    outcomes[number] = _outcome(job, folder, reused=True)
+    with _alone_in(directory) as lock:
+        monitor.start(jobs)
+        try:
+            while waiting or active:
+                while waiting and len(active) < workers:
+                    number = waiting.pop(0)
+                    job, folder = jobs[number], folders[number]
+                    if not force and (folder / OUTCOME).is_file():
+                        outcomes[number] = _outcome(job, folder, reused=True)
+                        monitor.ended(outcomes[number])
+                    else:
+                        active[number] = folder, _start(job, folder, force, lock)
+                time.sleep(LOOK_EVERY if active else 0.0)
+                for number, (folder, process) in list(active.items()):
+                    monitor.look(jobs[number], folder.with_suffix(".log"))
+                    if (code := process.poll()) is None:
+                        continue
+                    del active[number]
+                    if code == INTERRUPTED:
+                        raise KeyboardInterrupt
+                    outcomes[number] = _outcome(jobs[number], folder, code)
                     monitor.ended(outcomes[number])
-                else:
-                    active[number] = folder, _start(job, folder, force)
-            time.sleep(LOOK_EVERY if active else 0.0)
-            for number, (folder, process) in list(active.items()):
-                monitor.look(jobs[number], folder.with_suffix(".log"))
-                if (code := process.poll()) is None:
-                    continue
-                del active[number]
-                if code == INTERRUPTED:
-                    raise KeyboardInterrupt
-                outcomes[number] = _outcome(jobs[number], folder, code)
-                monitor.ended(outcomes[number])
-    except KeyboardInterrupt:
-        for _, process in active.values():
-            process.send_signal(signal.SIGINT)  # again, if the terminal has sent it: that does no harm
-        for _, process in active.values():
-            process.wait()
-        raise KeyboardInterrupt(f"stopped; finished runs are in {directory}: the same command goes on") from None
-    finally:
-        monitor.stop()
+        except KeyboardInterrupt:
+            same = "the same command without --force" if force else "the same command"
+            raise KeyboardInterrupt(f"stopped; finished runs are in {directory}: {same} goes on") from None
+        finally:
+            for _, process in active.values():
+                process.send_signal(signal.SIGINT)  # again, if the terminal has sent it: that does no harm
+            for _, process in active.values():
+                process.wait()
+            monitor.stop()
     return outcomes
 
 
-def _start(job: Job, folder: Path, force: bool) -> subprocess.Popen:
-    """The process of one run; what it prints goes to a log beside its folder."""
+@contextmanager
+def _alone_in(directory: Path):
+    """An open file whose lock says that a study is at work in `directory`; SceneError where another one holds it."""
+    directory.mkdir(parents=True, exist_ok=True)
+    with open(directory / LOCK, "w") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise SceneError(f"{directory}: another study, or a run that it left behind, is at work there") from None
+        yield lock
+
+
+def _start(job: Job, folder: Path, force: bool, lock) -> subprocess.Popen:
+    """The process of one run, which holds on to `lock`; what it prints goes to a log beside its folder."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / OUTCOME).unlink(missing_ok=True)
     if force:
         for name in ("checkpoint.h5", "summary.json"):
             (folder / name).unlink(missing_ok=True)
     asked = {"scene": job.scene.model_dump(mode="json"), "mode": job.mode, "device": job.device}
-    asked |= {"regularisation": job.regularisation, "command": job.command}
+    asked |= {"regularisation": job.regularisation, "command": job.command, "code": code_version(job.mode)}
     (folder / JOB).write_text(json.dumps(asked, indent=2), encoding="utf-8")
     with open(folder.with_suffix(".log"), "w", encoding="utf-8") as log:
         return subprocess.Popen(
@@ -139,6 +169,7 @@ def _start(job: Job, folder: Path, force: bool) -> subprocess.Popen:
             stdout=log,
             stderr=subprocess.STDOUT,
             stdin=subprocess.DEVNULL,
+            pass_fds=(lock.fileno(),),
             env=os.environ | ONE_THREAD | {"COLUMNS": "200", "PYTHONUNBUFFERED": "1"},
         )
 

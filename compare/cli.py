@@ -135,6 +135,20 @@ def study_paper(
     _report(directory, force, study_paper, lambda0, damping, quick, device, jobs)
 
 
+@study.command("stability")
+def study_stability(
+    quick: Annotated[bool, typer.Option("--quick", help="leave out the cases of more than half a minute")] = False,
+    directory: OutOption = None,
+    jobs: JobsOption = 2,
+    force: AgainOption = False,
+):
+    """Hard cases of both solvers: what is stable, degraded or refused, with figures and limits."""
+    from compare.study_stability import study_stability
+
+    directory = directory or Path("runs") / f"stability{'-quick' if quick else ''}"
+    _report(directory, force, study_stability, quick, jobs)
+
+
 @app.command()
 def validate(
     scene: SceneArg,

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import brentq
 
-ORDERS = (0.2, 6.0)  # outside them a fitted order says that the grids are too coarse, not how the error falls
+ORDERS = (0.4, 6.0)  # outside them a fitted order says that the grids are too coarse, not how the error falls
+FARTHEST = 0.2  # of the finest value: a limit farther off is a guess
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ def richardson(h, f) -> Limit:
     """Limit of values `f` (n,) found with grid sizes `h` (n,), from the finest three, in any order and ratio.
 
     f = value + C h^p through three points h1 > h2 > h3: (f1 - f2)/(f2 - f3) = (h1^p - h2^p)/(h2^p - h3^p), which
-    rises with p and so has one root p at most, sought in [0.2, 6]. Raises ValueError for fewer than three, for
+    rises with p and so has one root p at most, sought in [0.4, 6]. Raises ValueError for fewer than three, for
     sizes that are equal or not positive, and for as many sizes as values not given.
     """
     h, f = np.asarray(h, float), np.asarray(f, float)
@@ -57,6 +58,8 @@ def richardson(h, f) -> Limit:
         )
     order = brentq(lambda p: ratio(p) * abs(fine) - abs(coarse), *ORDERS)
     value = f3 - fine * h3**order / (h2**order - h3**order)
+    if abs(value - f3) > FARTHEST * abs(f3):
+        return _no_limit(f"the limit that the trend points to is more than {FARTHEST:.0%} from the finest grid's value")
     return Limit(float(value), float(order), True, "")
 
 

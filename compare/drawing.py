@@ -46,9 +46,10 @@ def save(figure, path) -> Path:
 
 
 def has_eq4(scene) -> bool:
-    """Whether Eq. 4 speaks of this resolved scene: a column that yields by friction."""
+    """Whether Eq. 4 speaks of this resolved scene: a column that only friction holds."""
     material = scene["material"]
-    return scene["geometry"]["shape"] == "column" and material["model"] != "elastic" and tan_theta(scene) > 0
+    frictional = material["model"] != "elastic" and material.get("cohesion", 0.0) == 0 and tan_theta(scene) > 0
+    return scene["geometry"]["shape"] == "column" and frictional
 
 
 def tan_theta(scene) -> float:

@@ -26,7 +26,7 @@ from compare.drawing import (
 )
 from compare.experiments import experiments
 from compare.metrics import half_length, profile
-from mpm.analytic import eq2, eq4, eq6, eq6_printed, eq45, quasistatic_profile
+from mpm.analytic import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, quasistatic_profile
 
 WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
 COLOURS = (ORANGE, GREEN, PURPLE, RED, SKY)  # of runs; blue is the implicit solver's
@@ -191,8 +191,10 @@ def draw_run_outs(rows, tangent, path, measure) -> Path:
         axes.loglog(*known.T, "x", color=BLACK, ms=5, label="experiments (digitised)")
         axes.loglog(fine, eq4(fine, tangent), color=BLACK, lw=1.2, label="Eq. 4")
         axes.loglog(fine, eq45(fine, tangent), "--", color=BLACK, lw=1.2, label="Eq. 5 in Eq. 4")
-        axes.loglog(fine, np.where(fine < 0.74, eq2(fine, tangent), np.nan), ":", color=BLACK, lw=1.0, label="Eq. 2")
-        axes.loglog(fine, np.where(fine < 0.74, np.nan, eq2(fine, tangent)), ":", color=BLACK, lw=1.0)
+        axes.loglog(
+            fine, np.where(fine < EQ2_SWITCH, eq2(fine, tangent), np.nan), ":", color=BLACK, lw=1.0, label="Eq. 2"
+        )
+        axes.loglog(fine, np.where(fine < EQ2_SWITCH, np.nan, eq2(fine, tangent)), ":", color=BLACK, lw=1.0)
         axes.loglog(fine, eq6(fine), "-.", color=RED, lw=1.0, label="Eq. 6, exchanged")
         axes.loglog(fine, eq6_printed(fine), ":", color=RED, lw=1.0, label="Eq. 6, as printed")
         for number, label in enumerate(dict.fromkeys(row["label"] for row in rows)):

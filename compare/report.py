@@ -20,17 +20,24 @@ SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 def refuse_another(directory: Path, about: dict, force: bool):
     """Raise SceneError where `directory` holds a report about something else, or one that cannot be read.
 
-    about: what a report's key "about" says, for example the study's name and the resolved scene. `force`: never refuse.
+    about: what a report's key "about" says, for example the study's name and the resolved scene. A list in it may have
+    grown: a report of more runs replaces that of fewer. `force`: never refuse.
     """
     path = Path(directory) / REPORT_JSON
     if force or not path.is_file():
         return
+    here = json.loads(json.dumps(about))
     try:
         there = json.loads(path.read_text(encoding="utf-8"))["about"]
-    except (ValueError, KeyError, TypeError):
-        there = None
-    if there != json.loads(json.dumps(about)):
+        known = there.keys() == here.keys() and all(_covers(here[key], there[key]) for key in here)
+    except (ValueError, KeyError, TypeError, AttributeError):
+        known = False
+    if not known:
         raise SceneError(f"{path} is a report about something else: choose another --out, or --force replaces it")
+
+
+def _covers(new, old) -> bool:
+    return set(old) <= set(new) if isinstance(new, list) and isinstance(old, list) else new == old
 
 
 def write_report(report: dict, directory: Path) -> Path:

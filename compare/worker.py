@@ -11,6 +11,7 @@ from pathlib import Path
 from compare.terminal import Monitor
 from mpm.config import parse_scene
 from mpm.errors import NumericalError, SceneError
+from mpm.provenance import code_version
 from mpm.results import CHECKPOINT, SUMMARY
 
 JOB, OUTCOME = "job.json", "outcome.json"
@@ -28,18 +29,34 @@ def work(folder: Path) -> int:
         more = {"regularisation": Regularisation(**job["regularisation"])}
     else:
         import explicit.run as runs
+    if code_version(job["mode"]) != job["code"]:
+        print("the solver's code was changed while the study ran")
+        return SceneError.exit_code
     status, reason, code = "done", None, 0
     try:
-        if (folder / CHECKPOINT).is_file() and not (folder / SUMMARY).is_file():
-            runs.resume(folder, job["device"], Monitor())
-        else:
+        if not _resumed(runs, folder, job["device"]):
             runs.run(parse_scene(job["scene"]), folder, job["device"], force=True, monitor=Monitor(), **more)
     except KeyboardInterrupt:
         return INTERRUPTED
-    except (SceneError, NumericalError) as error:
+    except SceneError as error:  # of the machine perhaps, a full disk: not kept, so that the next call tries again
+        print(error)
+        return error.exit_code
+    except NumericalError as error:
         status, reason, code = "failed", str(error), error.exit_code
     (folder / OUTCOME).write_text(json.dumps({"status": status, "reason": reason}), encoding="utf-8")
     return code
+
+
+def _resumed(runs, folder: Path, device: str) -> bool:
+    """Go on from the checkpoint of a run that was cut off; False where there is none that can be read."""
+    if not (folder / CHECKPOINT).is_file() or (folder / SUMMARY).is_file():
+        return False
+    try:
+        runs.resume(folder, device, Monitor())
+    except SceneError as error:
+        print(f"starting anew: {error}")
+        return False
+    return True
 
 
 if __name__ == "__main__":

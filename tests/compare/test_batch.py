@@ -95,6 +95,7 @@ def test_a_process_that_dies_is_a_failed_run_and_is_tried_again(tmp_path, monkey
 
 def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_path):
     """A study is interrupted as its run has passed a checkpoint; its end is that of a run that was not."""
+    # Two calls at once in one folder would write over each other.
     settings = ("grid.cell=0.25", "explicit.until=6.0", "output.every=0.5", "output.vtk=false")
     code = (
         "import sys; from pathlib import Path; sys.path.insert(0, 'TESTS');"
@@ -105,6 +106,8 @@ def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_p
     deadline = time.monotonic() + 60
     while not (found := list(tmp_path.glob("runs/*/checkpoint.h5"))) and time.monotonic() < deadline:
         time.sleep(0.02)
+    with pytest.raises(SceneError, match="another study"):
+        run_all([job()], tmp_path / "runs", 1, False, Quiet())
     study.send_signal(signal.SIGINT)
     _, err = study.communicate(timeout=60)
     assert "the same command goes on" in err
@@ -118,10 +121,38 @@ def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_p
     assert (Results.open(found[0].parent).times == whole.results.times).all()
 
 
+def test_a_checkpoint_that_cannot_be_read_is_started_anew(tmp_path):
+    (first,) = run_all([job()], tmp_path, 1, False, Quiet())
+    for name in ("outcome.json", "summary.json"):
+        (first.folder / name).unlink()
+    (first.folder / "checkpoint.h5").write_bytes(b"cut short")
+    (again,) = run_all([job()], tmp_path, 1, False, Quiet())
+    assert again.done and again.summary["R_995"] == first.summary["R_995"]
+
+
+def test_a_mesh_is_known_by_its_content_and_a_device_by_what_there_is(tmp_path):
+    body = tmp_path / "body.stl"
+    scene = tmp_path / "scene.toml"
+    scene.write_text(
+        'name = "m"\n[geometry]\nshape = "mesh"\nfile = "body.stl"\n[grid]\ncell = 0.1\n'
+        "[material]\nyoung = 1e6\npoisson = 0.3\ndensity = 2000.0\nfriction_angle = 30.0\n"
+    )
+    keys = []
+    for content in (b"one", b"two"):
+        body.write_bytes(content)
+        keys.append(Job("a", str(scene), (), "explicit").key)
+    assert keys[0] != keys[1]
+    body.unlink()
+    with pytest.raises(SceneError, match=r"body\.stl: No such file"):
+        _ = Job("a", str(scene), (), "explicit").key
+    with pytest.raises(SceneError, match="this machine has: cpu"):
+        _ = job(device="cuda:9").key
+
+
 def test_a_bad_scene_is_told_before_anything_runs(tmp_path):
     with pytest.raises(SceneError, match="poisson"):
         run_all([job(), job("b", "material.poisson=2")], tmp_path, 1, False, Quiet())
-    assert not list(tmp_path.iterdir())
+    assert not list(tmp_path.iterdir())  # nothing was started
 
 
 def test_the_command_makes_the_same_run():

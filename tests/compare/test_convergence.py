@@ -9,7 +9,7 @@ HALVED = (0.2, 0.1, 0.05)
 UNEVEN = (1 / 8, 1 / 10, 1 / 16)  # as of 8, 10 and 16 cells across a radius
 
 
-@pytest.mark.parametrize("factor", [3.0, -0.4])
+@pytest.mark.parametrize("factor", [0.3, -0.2])
 @pytest.mark.parametrize("order", [0.5, 1.0, 2.0, 4.0])
 @pytest.mark.parametrize("h", [HALVED, UNEVEN])
 def test_limit_and_order_of_a_pure_power_are_found(h, order, factor):
@@ -37,6 +37,12 @@ def test_the_finest_three_count_in_whatever_order_they_come():
     """The coarsest grid is far off the law of the others."""
     found = richardson((0.1, 0.4, 0.05, 0.2), (0.7 + 0.3 * 0.1, 9.0, 0.7 + 0.3 * 0.05, 0.7 + 0.3 * 0.2))
     assert found.value == pytest.approx(0.7) and found.order == pytest.approx(1.0)
+
+
+def test_a_limit_far_from_the_finest_value_is_no_limit():
+    """Changes 0.2 and 0.15 with ratio 2: the trend points to 0.65 - 0.15 (0.15/0.05) = 0.2."""
+    found = richardson(HALVED, (1.0, 0.8, 0.65))
+    assert not found.converged and "more than 20%" in found.reason
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,69 @@
+"""What a hard case is, and how one that was run is judged."""
+
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from mpm.errors import NumericalError, SceneError
+
+CASES: list["Case"] = []  # in the order in which their modules register them
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One figure of a case: `value` measured by `solver` ("explicit", "implicit", "both" or "law") for `what`.
+
+    It is stable where `value` is at most `limit`; `reason` says where the limit comes from. `note`: what else a reader
+    should know of the figure.
+    """
+
+    what: str
+    solver: str
+    value: float
+    limit: float
+    reason: str
+    note: str = ""
+
+    @property
+    def stable(self) -> bool:
+        """Whether the figure keeps its limit; NaN does not."""
+        return bool(self.value <= self.limit)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A hard case: `run()` computes it and yields its findings. `slow`: takes more than half a minute."""
+
+    name: str
+    run: Callable[[], Iterator[Finding]]
+    slow: bool
+
+
+def hard_case(name: str, slow: bool = False):
+    """Register the decorated generator of findings as the case `name`."""
+
+    def register(run):
+        CASES.append(Case(name, run, slow))
+        return run
+
+    return register
+
+
+def judge(case: Case) -> list[dict]:
+    """Run a case; a row a finding: case, what, solver, outcome, value, limit, reason, note, seconds.
+
+    Outcome: "stable" within its limit, "degraded" beyond it, "refused" where the solver stopped with a named error,
+    whose text is then the note.
+    """
+    rows, started = [], time.perf_counter()
+    try:
+        for one in case.run():
+            outcome = "stable" if one.stable else "degraded"
+            rows.append({"case": case.name, "what": one.what, "solver": one.solver, "outcome": outcome})
+            rows[-1] |= {"value": one.value, "limit": one.limit, "reason": one.reason, "note": one.note}
+    except (NumericalError, SceneError) as error:
+        rows.append({"case": case.name, "what": "the rest of the case", "solver": "", "outcome": "refused"})
+        rows[-1] |= {"value": None, "limit": None, "reason": "a named error ended it", "note": str(error)}
+    for row in rows:
+        row["seconds"] = time.perf_counter() - started
+    return rows

@@ -1,0 +1,112 @@
+"""`repose study stability`: every hard case in a process of its own, and a table of what held and what did not."""
+
+import csv
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from compare.batch import ONE_THREAD
+from compare.hard import collapse, faults, law, rest, transfer
+from compare.hard.case import CASES, Case, judge
+from compare.report import refuse_another
+from compare.sections import verdict
+from mpm.provenance import code_version, provenance
+
+MODULES = (transfer, law, rest, collapse, faults)  # importing them registers their cases
+COLUMNS = ("case", "what", "solver", "outcome", "value", "limit", "reason", "note", "seconds")
+LONGEST = 3600.0  # [s] of one case, after which it counts as hung
+
+
+def study_stability(directory: Path, force, _monitor, command: str, quick: bool, workers: int) -> dict:
+    """Run the hard cases, the long ones too unless `quick`; the report (see `compare.report`).
+
+    A case's rows are kept in `directory`/cases and used again as long as the code stays the same.
+    """
+    about_what = {"study": "stability", "quick": quick}
+    refuse_another(directory, about_what, force)
+    folder = directory / "cases"
+    folder.mkdir(parents=True, exist_ok=True)
+    version = _version()
+    cases = [case for case in CASES if not (quick and case.slow)]
+    with ThreadPoolExecutor(workers) as pool:
+        found = list(pool.map(lambda case: _rows(case, folder, version, force), cases))
+    rows = [row for rows in found for row in rows]
+    with open(directory / "table.csv", "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, COLUMNS)
+        writer.writeheader()
+        writer.writerows(rows)
+    checks = [_check(case.name, rows) for case, rows in zip(cases, found, strict=True)]
+    table = {
+        "caption": "Stable: within the limit. Degraded: beyond it. Refused: ended by a named error. Died: no answer.",
+        "columns": ["case", "what", "solver", "outcome", "figure", "limit", "why this limit", "remark", "s"],
+        "rows": [[row[name] if row[name] != "" else None for name in COLUMNS] for row in rows],
+    }
+    here = provenance("cpu", "float64")
+    del here["precision"], here["device"], here["device_name"]
+    return {
+        "about": about_what,
+        "title": "Numerical stability on hard cases" + (", quick" if quick else ""),
+        "lead": "What breaks, where, and how it is noticed. A figure is the measure that its row names; it must not "
+        "pass its limit, which is physical or has the reason given.",
+        "verdict": verdict(checks),
+        "checks": checks,
+        "sections": [{"title": "All figures", "text": [], "tables": [table], "figures": []}],
+        "provenance": here | {"code": version, "report made by": command},
+        "failed": [f"{row['case']}: {row['note']}" for row in rows if row["outcome"] == "died"],
+        "rows": rows,
+    }
+
+
+def _rows(case: Case, folder: Path, version: str, force: bool) -> list[dict]:
+    """The rows of one case: kept ones, or those of a process that runs it now."""
+    path = folder / f"{case.name.replace(' ', '-')}-{version}.json"
+    if force:
+        path.unlink(missing_ok=True)
+    started = time.perf_counter()
+    if not path.is_file():
+        asked = [sys.executable, "-P", "-m", "compare.study_stability", case.name, str(path)]
+        try:
+            said = subprocess.run(asked, capture_output=True, text=True, env=os.environ | ONE_THREAD, timeout=LONGEST)
+            how = f"exit code {said.returncode}: {(said.stderr.strip().splitlines() or ['without a word'])[-1]}"
+        except subprocess.TimeoutExpired:
+            how = f"no answer after {LONGEST:g} s"
+    if path.is_file():
+        rows = json.loads(path.read_text(encoding="utf-8"))
+    else:
+        rows = [dict.fromkeys(COLUMNS, "") | {"case": case.name, "what": "its process died", "outcome": "died"}]
+        rows[0] |= {"note": how, "seconds": time.perf_counter() - started}
+    stable = sum(row["outcome"] == "stable" for row in rows)
+    print(f"{case.name}: {stable} of {len(rows)} stable, {rows[-1]['seconds']:.1f} s", flush=True)
+    return rows
+
+
+def _check(name: str, rows: list[dict]) -> dict:
+    missed = [row for row in rows if row["outcome"] != "stable"]
+    died = any(row["outcome"] == "died" for row in rows)
+    said = "; ".join(
+        f"{row['what']} ({row['solver']}): {row['value']:.3g} over the limit {row['limit']:.3g}"
+        if row["outcome"] == "degraded"
+        else f"{row['what']}: {row['outcome']}, {row['note']}"
+        for row in missed
+    )
+    sentence = f"{len(rows) - len(missed)} of {len(rows)} figures within their limits" + (f"; {said}." if said else ".")
+    return {"name": name, "holds": None if died else not missed, "sentence": sentence}
+
+
+def _version() -> str:
+    """Digest of both solvers' code and of the cases."""
+    digest = hashlib.sha256((code_version("explicit") + code_version("implicit")).encode())
+    for path in sorted((Path(__file__).parent / "hard").glob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+if __name__ == "__main__":
+    name, answer = sys.argv[1:]
+    found = judge(next(case for case in CASES if case.name == name))
+    Path(answer).write_text(json.dumps(found), encoding="utf-8")
