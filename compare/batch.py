@@ -121,7 +121,7 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
                         active[number] = folder, _start(job, folder, force, lock)
                 time.sleep(LOOK_EVERY if active else 0.0)
                 for number, (folder, process) in list(active.items()):
-                    monitor.look(jobs[number], folder.with_suffix(".log"))
+                    monitor.look(jobs[number], _log(folder))
                     if (code := process.poll()) is None:
                         continue
                     del active[number]
@@ -163,7 +163,7 @@ def _start(job: Job, folder: Path, force: bool, lock) -> subprocess.Popen:
     asked = {"scene": job.scene.model_dump(mode="json"), "mode": job.mode, "device": job.device}
     asked |= {"regularisation": job.regularisation, "command": job.command, "code": code_version(job.mode)}
     (folder / JOB).write_text(json.dumps(asked, indent=2), encoding="utf-8")
-    with open(folder.with_suffix(".log"), "w", encoding="utf-8") as log:
+    with open(_log(folder), "w", encoding="utf-8") as log:
         return subprocess.Popen(
             [sys.executable, "-P", "-m", "compare.worker", str(folder)],
             stdout=log,
@@ -174,6 +174,10 @@ def _start(job: Job, folder: Path, force: bool, lock) -> subprocess.Popen:
         )
 
 
+def _log(folder: Path) -> Path:
+    return folder.with_name(folder.name + ".log")  # with_suffix would take ".5-KEY" of column "0.5" for a suffix
+
+
 def _outcome(job: Job, folder: Path, code: int = 0, reused: bool = False) -> Outcome:
     """What outcome.json says, or, of a process that left none, how it died."""
     if (folder / OUTCOME).is_file():
@@ -181,5 +185,5 @@ def _outcome(job: Job, folder: Path, code: int = 0, reused: bool = False) -> Out
         summary = Results.open(folder).summary() if said["status"] == "done" else None
         return Outcome(job, folder, summary, said["reason"], reused)
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    lines = folder.with_suffix(".log").read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    lines = _log(folder).read_text(encoding="utf-8", errors="replace").strip().splitlines()
     return Outcome(job, folder, None, f"the process died ({how}): {lines[-1] if lines else 'without a word'}")

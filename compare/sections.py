@@ -162,6 +162,12 @@ def figure(name: str, caption: str) -> dict:
     return {"file": name, "caption": caption, "alt": caption}
 
 
+def made_by(outcome: Outcome) -> dict:
+    """Machine, commit and command of a run, for a row of a table; None where it has no results."""
+    known = outcome.results.provenance if outcome.done else {}
+    return {name: known.get(name) for name in ("device_name", "commit")} | {"command": outcome.job.command}
+
+
 def relative(value: float, reference: float | None) -> str | None:
     """`value` over `reference` - 1, in percent."""
     return percent(value / reference - 1.0) if reference else None

@@ -18,6 +18,7 @@ from compare.sections import (
     about,
     check,
     figure,
+    made_by,
     percent,
     softened_note,
     stability_table,
@@ -149,8 +150,7 @@ def _row(outcomes: list[Outcome]) -> dict:
     times = [one["wall_s"] for one in done]
     row |= {"repeats": len(done), "fastest": min(times, default=None), "slowest": max(times, default=None)}
     row["volume_gain"] = deposit(first.results)["volume_error"] if done else None
-    row["command"] = job.command
-    return row
+    return row | made_by(first)
 
 
 def _limit(rows: list[dict]) -> dict | None:

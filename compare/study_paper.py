@@ -20,6 +20,7 @@ from compare.sections import (
     eq6_section,
     failures,
     figure,
+    made_by,
     percent,
     stability_table,
     verdict,
@@ -109,7 +110,7 @@ def _row(outcome: Outcome, tangent: float) -> dict:
     row |= {"experiments": None if np.isnan(known) else known}
     summary = outcome.summary or {}
     row |= {key: summary.get(key) for key in ("points", "sim_time", "steps", "stop_reason", "wall_s", "setup_s")}
-    return row | {"failed": outcome.reason, "command": outcome.job.command}
+    return row | {"failed": outcome.reason} | made_by(outcome)
 
 
 def _checks(rows) -> list[dict]:

@@ -61,6 +61,13 @@ def test_the_solvers_code_and_the_device_are_part_of_what_a_run_is(monkeypatch):
     assert job("b").key == key  # the name is the study's
 
 
+def test_each_run_has_a_log_of_its_own_whatever_dots_its_name_has(tmp_path):
+    run_all([job("D0.4-0.5"), job("D0.4-0.25", "explicit.damping=0.2")], tmp_path, 2, False, Quiet())
+    logs = sorted(path.name for path in tmp_path.glob("*.log"))
+    assert [name.rpartition("-")[0] for name in logs] == ["D0.4-0.25", "D0.4-0.5"]
+    assert all("column_small: explicit" in (tmp_path / name).read_text() for name in logs)
+
+
 def test_force_runs_it_again(tmp_path):
     first = run_all([job()], tmp_path, 1, False, Quiet())[0]
     date = first.results.provenance["date"]
