@@ -213,7 +213,10 @@ NU_REASON = "run-out is a matter of friction and volume, and psi = 0 keeps the v
 def near_incompressible():
     """nu = 0.49 and 0.495: K is 20 and 40 times as large as at 0.3, 8 points to a cell of first-order hexahedra."""
     yield from _checkerboard("explicit", "explicit.until=2.0")
-    yield from _incompressible_collapse("explicit", MIDDLE, FIFTH, DYNAMIC, SHORT)
+    scene = ("explicit", MIDDLE, FIFTH, DYNAMIC, SHORT)
+    yield from _incompressible_collapse(*scene)
+    forgets = (*scene, "material.apex_memory=false")
+    yield same("nu = 0.49, no apex memory", collapse(*forgets, _poisson(0.49)), collapse(*forgets), 0.10, NU_REASON)
 
 
 @hard_case("near-incompressible, damped", slow=True)
@@ -313,12 +316,13 @@ def _time_step(*scene):
 
 @hard_case("time step, implicit")
 def time_step_implicit():
-    """Steps of the pseudo-time in which points may go half and twice as far."""
+    """Steps of the pseudo-time in which points may go half and twice as far, and half as long at the longest."""
     base = collapse("implicit", LOW, SIXTH)
-    for factor in (0.5, 2):
-        run = collapse("implicit", LOW, SIXTH, reach=factor * base.solver.regularisation.reach)
+    for name, factor in (("reach", 0.5), ("reach", 2), ("cap", 0.5)):
+        changed = {name: factor * getattr(base.solver.regularisation, name)}
+        run = collapse("implicit", LOW, SIXTH, **changed)
         steps = f"; {run.solver.steps} against {base.solver.steps} steps"
-        yield same(f"reach x {factor:g}", run, base, 0.03, REACH, steps)
+        yield same(f"{name} x {factor:g}", run, base, 0.03, REACH, steps)
 
 
 @hard_case("symmetry")

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from itertools import pairwise
 
 import numpy as np
 import warp as wp
@@ -123,7 +124,7 @@ class FinitePoint:
 
     def __init__(self, material: Material, pressure=0.0):
         from implicit.kernels import points
-        from implicit.kernels.layout import LAW, OUTSIDE, STENCIL, mat33, real, vec3, vec6
+        from implicit.kernels.layout import OUTSIDE, STENCIL, mat33, real, vec3, vec6
 
         start_warp()
         constants = material.constants()
@@ -204,7 +205,7 @@ def _open_and_close(law):
     path = [e * IDENTITY / 3.0 for e in (*np.linspace(0.0, 0.02, 200), *np.linspace(0.02, -0.002, 220)[1:])]
     start, held, off = -PRESSURE / bulk, 0.0, 0.0
     states = {"open": 0, "closed again": 0}
-    for before, after in zip(path, path[1:], strict=False):
+    for before, after in pairwise(path):
         point.follow(before, after)
         exact = min(start + law.volume_of(after), 0.0)  # elastic volume strain of a gap that closes first
         if point.opening > 0.0:
@@ -242,7 +243,7 @@ def _loops(law):
         start, ends, peaks = point.elastic_volume, [], []
         for _ in range(loops):
             peak = 0.0
-            for before, after in zip(path, path[1:], strict=False):
+            for before, after in pairwise(path):
                 point.follow(before, after)
                 peak = max(peak, point.opening)
             ends.append(abs(point.elastic_volume + point.opening - start))

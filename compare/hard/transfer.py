@@ -130,7 +130,7 @@ def _alone(solver) -> np.ndarray:
 
 @hard_case("node with hardly any mass")
 def light_node():
-    """A stray point reaches a node by a sliver, then hits a block of sand: nothing may go faster than the input lets it.
+    """A stray point reaches a node by a sliver, then hits a block of sand: nothing may outrun the input.
 
     Its domain ends a sliver d beyond a node's plane, weight d^2 (across a face), or that of three planes, weight d^6
     (at a corner): a billionth of its mass.
@@ -169,7 +169,7 @@ def light_node():
 
 
 def _stray(node: int, corner: bool, cell: float) -> np.ndarray:
-    """A point whose domain starts beyond node plane `node` and reaches a sliver past the next one along z, or x, y, z."""
+    """A point whose domain reaches a sliver past the plane after node `node`: along z, or along x, y and z."""
     sliver = LIGHT ** (1.0 / 6.0) if corner else LIGHT**0.5
     past = (node + 1 - HALF_LENGTH_IN_CELLS + sliver) * cell
     beside = (node / 2 + HALF_LENGTH_IN_CELLS) * cell
