@@ -9,7 +9,7 @@ from pathlib import Path
 from jinja2 import Environment, PackageLoader, StrictUndefined, UndefinedError
 
 from mpm.errors import SceneError
-from mpm.results import _json_value, _replace
+from mpm.results import json_value, replace_file
 
 REPORT_JSON, REPORT_HTML = "report.json", "report.html"
 TEMPLATE = "report.html.jinja"
@@ -52,11 +52,11 @@ def write_report(report: dict, directory: Path) -> Path:
     a figure that is; nothing is written then.
     """
     directory = Path(directory)
-    report = _json_value(report)
+    report = json_value(report)
     page = _page(report, directory)
     text = json.dumps(report, indent=2, allow_nan=False) + "\n"
     for name, content in ((REPORT_JSON, text), (REPORT_HTML, page)):
-        _replace(directory / name, lambda path, content=content: path.write_text(content, encoding="utf-8"))
+        replace_file(directory / name, lambda path, content=content: path.write_text(content, encoding="utf-8"))
     return directory / REPORT_HTML
 
 

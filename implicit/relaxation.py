@@ -60,8 +60,8 @@ class Regularisation:
         A stiffer material has its kinks closer together, in displacement by the ratio of the moduli, and Newton needs
         as many more steps, for a deposit that rests on friction and volume and not on elastic strains of a
         thousandth: benchmarks/results/implicit_stiffness_cpu.csv. The stress at rest balances gravity whatever the
-        modulus. A body that can stand keeps its E, since its displacements are elastic: one with cohesion, an
-        elastic one, one whose gravity comes in load steps.
+        modulus. What has cohesion, is elastic or gets its gravity in load steps keeps its E: there displacements that
+        are elastic matter. A cohesionless heap that stands settles by at most h0/600 too much.
         """
         scene, constants = body.scene, body.constants
         collapses = constants.plastic and constants.xi == 0 and scene.implicit.initial_stress == "geostatic"

@@ -203,7 +203,7 @@ class Results:
                     else:
                         file.attrs[name] = value
 
-        _replace(self.directory / CHECKPOINT, write)
+        replace_file(self.directory / CHECKPOINT, write)
 
     def read_checkpoint(self) -> dict:
         """The restart state, bit for bit as it was given. Raises SceneError where there is none to read."""
@@ -216,11 +216,11 @@ class Results:
 
     def finish(self, summary: dict) -> None:
         """Mark the run as ended: summary.json, and the same in results.h5. NaN and infinities become null."""
-        text = json.dumps(_json_value(summary), indent=2, allow_nan=False) + "\n"
+        text = json.dumps(json_value(summary), indent=2, allow_nan=False) + "\n"
         with self._writing() as file:
             file.attrs["finished"] = True
             file.attrs["summary"] = text
-        _replace(self.directory / SUMMARY, lambda path: path.write_text(text, encoding="utf-8"))
+        replace_file(self.directory / SUMMARY, lambda path: path.write_text(text, encoding="utf-8"))
 
     def summary(self) -> dict | None:
         """The summary of a run that has ended, else None."""
@@ -245,7 +245,7 @@ def _reading(path: Path):
         raise SceneError(f"{path} is not readable HDF5 (cut short or damaged?): {error}") from error
 
 
-def _replace(path: Path, write) -> None:
+def replace_file(path: Path, write) -> None:
     """Let `write(temporary)` make the file, then put it in the place of `path` in one step."""
     temporary = _temporary(path)
     try:
@@ -280,14 +280,14 @@ def _python(value):
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _json_value(value):
+def json_value(value):
     """`value` with numpy types as Python's and without NaN and infinities, which JSON does not have."""
     if isinstance(value, dict):
-        return {key: _json_value(item) for key, item in value.items()}
+        return {key: json_value(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):
-        return _json_value(value.tolist())
+        return json_value(value.tolist())
     if isinstance(value, list | tuple):
-        return [_json_value(item) for item in value]
+        return [json_value(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
