@@ -14,7 +14,7 @@ from compare.batch import ONE_THREAD
 from compare.hard import collapse, faults, law, rest, transfer
 from compare.hard.case import CASES, Case, judge
 from compare.report import refuse_another
-from compare.sections import verdict
+from compare.sections import check, verdict
 from mpm.provenance import code_version, provenance
 
 MODULES = (transfer, law, rest, collapse, faults)  # importing them registers their cases
@@ -95,7 +95,7 @@ def _check(name: str, rows: list[dict]) -> dict:
         for row in missed
     )
     sentence = f"{len(rows) - len(missed)} of {len(rows)} figures within their limits" + (f"; {said}." if said else ".")
-    return {"name": name, "holds": None if died else not missed, "sentence": sentence}
+    return check(name, None if died else float(len(missed)), 0.0, sentence)
 
 
 def _version() -> str:

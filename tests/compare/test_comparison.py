@@ -259,6 +259,22 @@ def test_study_error_has_a_point_for_every_resolution_precision_step_and_stiffne
     assert len(rows_of(folder)) == len(points) == 17
 
 
+def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path, monkeypatch):
+    from compare import study_stability
+    from compare.hard.case import Case
+
+    there = [case for case in study_stability.CASES if case.name == "coarse, implicit"]
+    monkeypatch.setattr(study_stability, "CASES", [*there, Case("no such case", None, False)])
+    folder = tmp_path / "out"
+    assert repose("study", "stability", "--quick", "--out", folder) == 3
+    report = json.loads((folder / "report.json").read_text())
+    outcomes = [row["outcome"] for row in report["rows"]]
+    assert outcomes == ["stable"] * 6 + ["died"]
+    assert {one["name"]: one["holds"] for one in report["checks"]} == {"coarse, implicit": True, "no such case": None}
+    assert report["failed"] and "StopIteration" in report["failed"][0]
+    assert len(rows_of(folder)) == 7
+
+
 def test_three_resolutions_are_needed_to_extrapolate(capsys, tmp_path):
     assert repose("study", "error", "column_small", "--cells", "4", "8", "--out", tmp_path / "out") == 2
     assert "three different resolutions at least" in capsys.readouterr().err
