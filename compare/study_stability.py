@@ -36,17 +36,18 @@ def study_stability(directory: Path, force, _monitor, command: str, quick: bool,
     with ThreadPoolExecutor(workers) as pool:
         found = list(pool.map(lambda case: _rows(case, folder, version, force), cases))
     rows = [row for rows in found for row in rows]
+    here = provenance("cpu", "float64")
+    made_by = {name: here[name] for name in ("cpu", "commit")}
     with open(directory / "table.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, COLUMNS)
+        writer = csv.DictWriter(file, [*COLUMNS, *made_by])
         writer.writeheader()
-        writer.writerows(rows)
+        writer.writerows(row | made_by for row in rows)
     checks = [_check(case.name, rows) for case, rows in zip(cases, found, strict=True)]
     table = {
         "caption": "Stable: within the limit. Degraded: beyond it. Refused: ended by a named error. Died: no answer.",
         "columns": ["case", "what", "solver", "outcome", "figure", "limit", "why this limit", "remark", "s"],
         "rows": [[row[name] if row[name] != "" else None for name in COLUMNS] for row in rows],
     }
-    here = provenance("cpu", "float64")
     del here["precision"], here["device"], here["device_name"]
     return {
         "about": about_what,

@@ -234,13 +234,14 @@ def _loops(law):
     angle = 2.0 * np.pi * np.arange(STEPS + 1) / STEPS
     path = np.zeros((STEPS + 1, 3, 3))
     path[:, 0, 0] = STRETCH * np.sin(angle)
+    path[:, 2, 2] = 0.5 * STRETCH * np.sin(2.0 * angle)
     path[:, 0, 1] = SHEAR * (1.0 - np.cos(angle))
     path[-1] = path[0]  # closed to the bit
     squares = np.sum(np.diff(path, axis=0) ** 2)
     gained = {}
     for memory, loops in ((False, 2), (True, LOOPS)):
         point = law(Material(**SAND, apex_memory=memory), PRESSURE)
-        start, ends, peaks = point.elastic_volume, [], []
+        start, ends, peaks, left = point.elastic_volume, [], [], []
         for _ in range(loops):
             peak = 0.0
             for before, after in pairwise(path):
@@ -248,10 +249,11 @@ def _loops(law):
                 peak = max(peak, point.opening)
             ends.append(abs(point.elastic_volume + point.opening - start))
             peaks.append(peak)
+            left.append(point.opening)
         gained[memory] = max(ends)
     growth = np.abs(np.array(peaks) - peaks[0]).max()
     if gained[False] < 1e-3 or peaks[0] < 1e-3:
-        gained[True] = growth = math.nan  # loops that never open say nothing
+        gained[True] = growth = left[0] = math.nan  # loops that never open say nothing
     note = f"{LOOPS} loops of {STEPS} steps, open by {max(peaks):.3f}"
     rounding = LOOPS * STEPS * ROUNDING
     yield Finding(
@@ -261,6 +263,14 @@ def _loops(law):
         rounding,
         "psi = 0: all plastic volume strain is opening, so a closed path recovers it; round-off",
         f"{note}; {gained[False]:.2g} without the memory of the apex",
+    )
+    yield Finding(
+        "opening left at the end of a loop",
+        law.solver,
+        float(np.max(left)),
+        rounding,
+        "a loop ends under the pressure that it began with, closed",
+        note,
     )
     yield Finding(
         "largest opening of a loop beside the first loop's",
