@@ -24,7 +24,7 @@ import numpy as np
 from compare.hard.case import Finding, hard_case
 from mpm.config import load_scene
 from mpm.errors import NumericalError, SceneError
-from mpm.results import RESULTS, Results
+from mpm.results import CHECKPOINT, RESULTS, Results
 
 MODES = ("explicit", "implicit")
 SCENE = "column_small"
@@ -198,12 +198,9 @@ def _three_courant_steps() -> Finding:
     """A fixed step of three times h/(c + |v|): refused, and refused again, with the state before it on disk."""
     scene = load_scene(SCENE, list(SETTINGS))
     step = 3.0 * scene.grid.cell / scene.material.constants().p_wave_speed
-    more, reason = (
-        (f"explicit.time_step={step}",),
-        "refused by name before it is taken, resumed or not; the state stays",
-    )
+    reason = "refused by name before it is taken, resumed or not; the state stays"
     with scratch() as folder:
-        first = apart(lambda: start("explicit", folder, more=more))
+        first = apart(lambda: start("explicit", folder, more=[f"explicit.time_step={step}"]))
         saved = Results.open(folder).read_checkpoint()
         second = apart(lambda: runs_of("explicit").resume(folder))
         kept = Results.open(folder).read_checkpoint()
@@ -252,7 +249,7 @@ def _doctored(mode: str) -> Finding:
     name = "v" if mode == "explicit" else "b_e"
     with scratch() as folder:
         apart(lambda: start(mode, folder, lambda _run: os.kill(os.getpid(), signal.SIGKILL)))
-        with h5py.File(folder / "checkpoint.h5", "r+") as file:
+        with h5py.File(folder / CHECKPOINT, "r+") as file:
             values = file[name][()]
             values.reshape(len(values), -1)[POINT] = np.nan
             file[name][...] = values
@@ -318,7 +315,8 @@ def _killed_anywhere() -> Finding:
                 with suppress(BaseException):
                     start("explicit", folder, more=busy)
                 os._exit(0)
-            while not (folder / "checkpoint.h5").is_file():
+            patience = time.monotonic() + 60.0
+            while not (folder / CHECKPOINT).is_file() and time.monotonic() < patience:
                 time.sleep(0.01)
             time.sleep(0.2 + 0.13 * kill)
             os.kill(child, signal.SIGKILL)
