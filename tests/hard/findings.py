@@ -1,0 +1,65 @@
+"""What the tests of hard cases share: a case is run once, and each finding that is expected of it is a test."""
+
+import functools
+import importlib.util
+from contextlib import nullcontext, suppress
+
+import pytest
+
+from compare.hard.case import CASES
+from mpm.errors import SceneError
+
+HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
+
+
+def each_finding(expected, known):
+    """Parametrises a test over `case`, `solver` and `what` of every finding in `expected` {case: [(solver, what)]}.
+
+    `known` {(case, solver, what): why}: findings that do not keep their limit, with the figure.
+    """
+    findings = [(name, *key) for name, keys in expected.items() for key in keys]
+    params = []
+    for name, solver, what in findings:
+        marks = _marks(name, [solver])
+        if (name, solver, what) in known:
+            why = known[name, solver, what]
+            marks.append(pytest.mark.xfail(reason=why, raises=AssertionError, strict=False))
+        params.append(pytest.param(name, solver, what, marks=marks, id=f"{name}: {solver}: {what}"))
+    return pytest.mark.parametrize(("name", "solver", "what"), params)
+
+
+def each_case(expected):
+    """Parametrises a test over the `name` of every case in `expected`."""
+    solvers = {name: [solver for solver, _ in keys] for name, keys in expected.items()}
+    return pytest.mark.parametrize("name", [pytest.param(name, marks=_marks(name, solvers[name])) for name in expected])
+
+
+def assert_stable(name, solver, what):
+    """The finding keeps its limit."""
+    finding = _found(name)[solver, what]
+    assert finding.stable, f"{what} = {finding.value:.4g}, limit {finding.limit:.4g} ({finding.reason}): {finding.note}"
+
+
+def assert_complete(name, expected):
+    """The case finds what is expected of it and no more."""
+    assert set(_found(name)) == {key for key in expected[name] if HAS_IMPLICIT or key[0] != "implicit"}
+
+
+@functools.cache
+def _found(name: str) -> dict:
+    """What the case `name` finds, by solver and what it is; without dolfinx, what comes before its implicit part."""
+    (case,) = [case for case in CASES if case.name == name]
+    found = {}
+    with nullcontext() if HAS_IMPLICIT else suppress(SceneError):
+        for one in case.run():
+            assert (one.solver, one.what) not in found
+            found[one.solver, one.what] = one
+    return found
+
+
+def _marks(name, solvers):
+    """Of a test that needs `solvers` of the case `name`."""
+    marks = [pytest.mark.slow] if any(case.slow for case in CASES if case.name == name) else []
+    if set(solvers) == {"implicit"} and not HAS_IMPLICIT:
+        marks.append(pytest.mark.skip(reason="dolfinx or petsc4py is not installed (see ./repose info)"))
+    return marks
