@@ -72,7 +72,7 @@ class ExplicitRun(Run):
         if self.rest_wanted:
             self.history_every = min(self.history_every, watch)  # rest is judged on history rows
         self.rows = 0
-        self.peak_ke = 0.0
+        self.peak_ke = self.e0 = 0.0
         self.recent: list[tuple[float, float, float]] = []  # (time, R_995, grid KE) over the last sqrt(h0/g)
 
     @property
@@ -94,7 +94,7 @@ class ExplicitRun(Run):
         """What a checkpoint holds beside what every run has."""
         state = self.solver.state()
         state |= {name: getattr(self, name) for name in ("rows", "peak_ke", "e0")}
-        state["recent"] = np.array(self.recent)
+        state["recent"] = np.array(self.recent).reshape(-1, 3)
         state["nodes_stored_start"] = self.solver.nodes_stored_start
         state["nodes_stored_max"] = self.solver.nodes_stored_max
         return state

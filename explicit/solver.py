@@ -185,12 +185,14 @@ class ExplicitSolver:
         """Take a batch of steps towards time `until` [s]: it may end a step past it, or well before, where the
         stored nodes must follow the points. The target of `aim` is met exactly. Returns the time reached.
 
-        Raises NumericalError when a point's state is not finite, it crosses half a cell in one step or its volume
-        turns negative, and StepRefused when a fixed time step passes the Courant limit.
+        Raises NumericalError when a point's state is not finite, it crosses half a cell in one step, leaves the grid
+        or its volume turns negative, and StepRefused when a fixed time step passes the Courant limit.
         """
+        self.grid.find_strays(self.x, self.fault)  # within a batch points travel less than the margin
         clock, fastest = self.clock.numpy(), float(np.max(self.speed.numpy()))
         travelled = clock[K.TRAVEL] + fastest * clock[K.DT]
         if travelled > 0.5 * self.setup.margin:
+            self._check()
             self.fit_grid()
             travelled = 0.0
         dt = self.time_step
@@ -223,6 +225,7 @@ class ExplicitSolver:
             K.NOT_FINITE: "its velocity is not finite",
             K.TOO_FAST: "it crossed more than half a cell in one step",
             K.INVERTED: "its volume turned negative",
+            K.OFF_GRID: "it has left the stored grid",
         }
         for kind, what in troubles.items():
             if fault[kind]:

@@ -143,7 +143,8 @@ def drucker_prager(real):
             d_lambda, _per_f, regime = multiplier(root_j2, trial, opened, material)
             volume_strain = material.eta_bar * d_lambda
             root = root_j2 - material.shear * d_lambda
-            if root >= zero or regime != INTACT:
+            # Without a deviator there is nothing to scale; `root` alone misses it where shear * d_lambda underflows.
+            if root_j2 > zero and (root >= zero or regime != INTACT):
                 scale = wp.max(root, zero) / root_j2  # open, at c = 0: zero but for round-off
                 d_eps = wp.sqrt(d_lambda * d_lambda / three + two * volume_strain * volume_strain / nine)
                 mean = trial - material.bulk * volume_strain
@@ -170,7 +171,7 @@ def drucker_prager(real):
         if root_j2 + material.eta * trial - material.xi > zero:
             d_lambda, per_f, regime = multiplier(root_j2, trial, opened, material)
             softens = material.bulk * material.eta_bar * per_f
-            if regime == OPEN or (regime == INTACT and root_j2 < material.shear * d_lambda):
+            if root_j2 == zero or regime == OPEN or (regime == INTACT and root_j2 < material.shear * d_lambda):
                 mean_m, root_r = zero, zero
             else:
                 passes = mean_m

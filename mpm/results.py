@@ -11,6 +11,7 @@ A run directory holds
 Arrays keep the precision they are given in. All quantities are SI.
 """
 
+import io
 import json
 import math
 import os
@@ -25,13 +26,16 @@ from mpm.errors import SceneError
 RESULTS, CHECKPOINT, SUMMARY = "results.h5", "checkpoint.h5", "summary.json"
 PLOTS = ("morphology.png", "profile.png", "history.png")
 _SNAPSHOT_STORAGE = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+_HISTORY_CHUNK = 1024  # rows
+_BOOKKEEPING = 1 << 16  # bytes that HDF5 may need beside the arrays that are written
 
 
 class Results:
     """A run directory. Make one with `Results.create` or `Results.open`.
 
     The HDF5 file is open only while a method runs, so that a run killed between two calls leaves it whole.
-    Reading methods raise SceneError where the file is not readable HDF5; writing methods raise OSError.
+    Reading methods raise SceneError where a file is damaged or not Repose's; writing methods raise OSError, with what
+    was in the files before still in them.
     """
 
     def __init__(self, directory):
@@ -114,28 +118,29 @@ class Results:
 
         Raises ValueError where `name` is there already.
         """
-        with self._writing() as file:
+        with self._writing(array.nbytes) as file:
             file["static"].create_dataset(name, data=array)
 
     def read_static(self, name: str) -> np.ndarray:
-        """The array stored under `name`; KeyError where there is none."""
+        """The array stored under `name`. Raises SceneError where there is none."""
         with self._reading() as file:
             return file["static"][name][()]
 
     def write_snapshot(self, time: float, step: int, fields: dict[str, np.ndarray]) -> None:
         """Append one snapshot at `time` [s]; each field has the point as its first axis."""
-        with self._writing() as file:
+        with self._writing(sum(array.nbytes for array in fields.values())) as file:
             snapshots = file["snapshots"]
-            group = snapshots.create_group(f"{len(snapshots):06d}")
-            # First of all: a snapshot cut short by a full disk still says its time, for `truncate_after`.
+            group = snapshots.create_group(None)
             group.attrs["time"], group.attrs["step"] = float(time), int(step)
             for name, array in fields.items():
                 group.create_dataset(name, data=array, **_SNAPSHOT_STORAGE)
+            file.flush()  # in the file before it has a name there: a kill in between leaves nothing half-written
+            snapshots[f"{len(snapshots):06d}"] = group
 
     def snapshot(self, index: int, names=None) -> dict:
         """Fields of one snapshot (all, or `names`) with "time" [s] and "step"; index -1 is the last.
 
-        Raises IndexError for a snapshot that is not there, KeyError for a field that is not.
+        Raises SceneError for a snapshot or field that is not there.
         """
         with self._reading() as file:
             group = list(file["snapshots"].values())[index]
@@ -149,14 +154,15 @@ class Results:
         """
         if not rows:
             return
-        with self._writing() as file:
+        # A column grows by whole chunks.
+        with self._writing(8 * (len(rows) + _HISTORY_CHUNK) * len(rows[0])) as file:
             history = file["history"]
             columns = set(history) or set(rows[0])
             if "time" not in columns or any(set(row) != columns for row in rows):
                 raise ValueError(f"history rows need exactly these columns: {sorted(columns | {'time'})}")
             for name in columns:
                 if name not in history:
-                    history.create_dataset(name, shape=(0,), maxshape=(None,), dtype="f8", chunks=(1024,))
+                    history.create_dataset(name, shape=(0,), maxshape=(None,), dtype="f8", chunks=(_HISTORY_CHUNK,))
                 column = history[name]
                 column.resize(len(column) + len(rows), axis=0)
                 column[-len(rows) :] = [row[name] for row in rows]
@@ -168,16 +174,14 @@ class Results:
 
     def truncate_after(self, time: float) -> None:
         """Go back to `time` [s]: later snapshots and history rows go, and so does the summary."""
+        later, history = self.times > time, self.history()  # read first: says what is damaged
         with self._writing() as file:
-            snapshots, history = file["snapshots"], file["history"]
-            for name in [name for name, group in snapshots.items() if group.attrs["time"] > time]:
-                del snapshots[name]
-            if "time" in history:
-                kept = history["time"][()] <= time
-                for column in history.values():
-                    rows = column[()][kept]
-                    column.resize(rows.shape)
-                    column[...] = rows
+            for name in np.array(list(file["snapshots"]))[later]:
+                del file["snapshots"][name]
+            for name, column in history.items():
+                rows = column[history["time"] <= time]
+                file["history"][name].resize(rows.shape)
+                file["history"][name][...] = rows
             for name in ("finished", "summary"):
                 file.attrs.pop(name, None)
         (self.directory / SUMMARY).unlink(missing_ok=True)
@@ -195,15 +199,15 @@ class Results:
         if any("/" in name for name in state):
             raise ValueError(f"a checkpoint name with '/' cannot be stored: {sorted(state)}")
 
-        def write(path):
-            with h5py.File(path, "w") as file:
-                for name, value in state.items():
-                    if isinstance(value, np.ndarray | np.generic):
-                        file.create_dataset(name, data=value)
-                    else:
-                        file.attrs[name] = value
-
-        replace_file(self.directory / CHECKPOINT, write)
+        # In memory first: HDF5 cannot let go of a file whose disk is full, a plain write can.
+        image = io.BytesIO()
+        with h5py.File(image, "w") as file:
+            for name, value in state.items():
+                if isinstance(value, np.ndarray | np.generic):
+                    file.create_dataset(name, data=value)
+                else:
+                    file.attrs[name] = value
+        replace_file(self.directory / CHECKPOINT, lambda path: path.write_bytes(image.getbuffer()))
 
     def read_checkpoint(self) -> dict:
         """The restart state, bit for bit as it was given. Raises SceneError where there is none to read."""
@@ -217,7 +221,7 @@ class Results:
     def finish(self, summary: dict) -> None:
         """Mark the run as ended: summary.json, and the same in results.h5. NaN and infinities become null."""
         text = json.dumps(json_value(summary), indent=2, allow_nan=False) + "\n"
-        with self._writing() as file:
+        with self._writing(len(text)) as file:
             file.attrs["finished"] = True
             file.attrs["summary"] = text
         replace_file(self.directory / SUMMARY, lambda path: path.write_text(text, encoding="utf-8"))
@@ -225,24 +229,49 @@ class Results:
     def summary(self) -> dict | None:
         """The summary of a run that has ended, else None."""
         path = self.directory / SUMMARY
-        return json.loads(path.read_text(encoding="utf-8")) if path.is_file() else None
+        if not path.is_file():
+            return None
+        with _told_apart(path):
+            return json.loads(path.read_text(encoding="utf-8"))
 
     def _reading(self):
         return _reading(self.directory / RESULTS)
 
-    def _writing(self):
-        return h5py.File(self.directory / RESULTS, "r+")
+    def _writing(self, more: int = 0):
+        """results.h5, to write arrays of `more` bytes to. Raises OSError where the disk has no room for them: asked
+        first, as HDF5 cannot let go of a file whose disk is full, and crashes on the way out.
+        """
+        path = self.directory / RESULTS
+        with open(path, "r+b") as file, suppress(AttributeError):  # macOS has no such call
+            size = os.fstat(file.fileno()).st_size
+            try:
+                os.posix_fallocate(file.fileno(), size, more + _BOOKKEEPING)
+            except OSError as error:
+                raise OSError(error.errno, error.strerror, str(path)) from None
+            finally:
+                # Given back before HDF5 comes: it would do so between its own writes, and a kill hit that moment in
+                # 5 of 60 runs.
+                os.ftruncate(file.fileno(), size)
+        return h5py.File(path, "r+")
 
 
 @contextmanager
 def _reading(path: Path):
     """The HDF5 file at `path`, to read from; SceneError where HDF5 cannot."""
+    # Unlocked: someone plotting a run that is still going must not make the solver's next write fail.
+    with _told_apart(path), h5py.File(path, "r", locking=False) as file:
+        yield file
+
+
+@contextmanager
+def _told_apart(path: Path):
+    """SceneError for whatever reading `path` raises: of a damaged file h5py makes nearly every kind of error."""
     try:
-        # Unlocked: someone plotting a run that is still going must not make the solver's next write fail.
-        with h5py.File(path, "r", locking=False) as file:
-            yield file
-    except (OSError, RuntimeError) as error:  # h5py raises either for a damaged file
-        raise SceneError(f"{path} is not readable HDF5 (cut short or damaged?): {error}") from error
+        yield
+    except SceneError:
+        raise
+    except Exception as error:
+        raise SceneError(f"{path} cannot be read (cut short or damaged?): {type(error).__name__}: {error}") from error
 
 
 def replace_file(path: Path, write) -> None:

@@ -15,6 +15,8 @@ from mpm.runout import run_out
 from mpm.scene import Body, build, theory
 from mpm.vtk import write_vtk
 
+FARTHEST = 1e4  # of the body's first radii and heights from the origin: beyond, no lattice follows a point
+
 
 class Interrupted(KeyboardInterrupt):
     """The user asked the run to stop; a checkpoint was saved."""
@@ -34,6 +36,20 @@ def body_of(results: Results) -> Body:
     """The body that a run started from, without its mesh file, which may be gone by now."""
     seeds = Seeds(results.read_static("x0"), *results.read_static("extent"))
     return build(parse_scene(results.scene), seeds)
+
+
+def spoilt(state: dict, farthest: float) -> str:
+    """What in a restart state is not finite, or farther than `farthest` [m] from the origin; "" where all is well."""
+    points = len(state["x"])
+    for name, value in state.items():
+        if isinstance(value, np.ndarray) and not np.isfinite(value).all():
+            point = int(np.argwhere(~np.isfinite(value))[0][0])
+            return f"{name} of point {point} is not finite" if len(value) == points else f"{name} is not finite"
+    off = np.abs(state["x"]).max(axis=1)
+    if off.max() > farthest:
+        point = int(off.argmax())
+        return f"point {point} has left the grid: x = {np.array2string(state['x'][point], precision=4)} m"
+    return ""
 
 
 class Run:
@@ -83,7 +99,7 @@ class Run:
         raise NotImplementedError
 
     def state_is_whole(self, error: NumericalError) -> bool:
-        """Whether the solver's state is still that before the step that raised `error`, and worth a checkpoint."""
+        """Whether the solver's state is still that before the step that raised `error`."""
         raise NotImplementedError
 
     def figures(self) -> dict:
@@ -99,14 +115,40 @@ class Run:
         self.results.write_static("extent", np.array([self.body.measure.reference, self.body.height]))
         self.first_row()
         self.write_snapshot()
-        self.save()
+        self.save(self.state())
 
     def restore(self, state: dict):
-        """Take over a checkpoint, and drop outputs written after it."""
+        """Take over a checkpoint, and drop outputs written after it. Raises SceneError where it is damaged."""
+        if wrong := self._differs(state) or spoilt(state, self.farthest):
+            raise SceneError(f"{self.results.directory}: the checkpoint is damaged: {wrong}")
         self.solver.restore(state)
         self.snapshots, self.wall_before = state["snapshots"], state["wall_before"]
         self.saved_time = self.solver.time
         self.results.truncate_after(self.saved_time)
+
+    @property
+    def farthest(self) -> float:
+        """How far [m] from the origin a point can be."""
+        return FARTHEST * (self.body.measure.reference + self.body.height + np.abs(self.body.x).max())
+
+    def whole_state(self) -> dict:
+        """`state()`, finite and on the grid. Raises NumericalError that names the point."""
+        state = self.state()
+        if wrong := spoilt(state, self.farthest):
+            raise NumericalError(f"diverged at t = {self.solver.time:.6g} s, step {self.solver.steps}: {wrong}")
+        return state
+
+    def _differs(self, state: dict) -> str:
+        """What in a restart state is not as this run would write it: names, types, points; "" where nothing is."""
+        for name, mine in (self.state() | {"snapshots": 0, "wall_before": 0.0}).items():
+            if name not in state:
+                return f"{name} is missing"
+            is_array = isinstance(mine, np.ndarray)
+            if is_array != isinstance(state[name], np.ndarray) or np.ndim(mine) != np.ndim(state[name]):
+                return f"{name} has another form"
+            if is_array and len(mine) == self.solver.points and state[name].shape != mine.shape:
+                return f"{name} is of other points"
+        return ""
 
     def go(self, started: float, monitor) -> dict:
         """Step until the run ends, Ctrl-C or divergence; write the summary and return it.
@@ -127,8 +169,9 @@ class Run:
                     self.write_grid()
                 self.results.finish(summary)
         except NumericalError as error:
-            if self.state_is_whole(error):
-                self.save()
+            with suppress(NumericalError):  # of a state that is spoilt: the last checkpoint is the last good one
+                if self.state_is_whole(error):
+                    self.save(self.whole_state())
             saved = self.results.directory / "checkpoint.h5"
             raise NumericalError(f"{error}\nlast good state: t = {self.saved_time:.6g} s in {saved}") from None
         finally:
@@ -142,7 +185,7 @@ class Run:
             if row and monitor:
                 monitor.row(self, row)
             if interrupt.asked and not self.stop_reason:
-                self.save()
+                self.save(self.whole_state())
                 where = self.results.directory
                 raise Interrupted(f"stopped at t = {self.solver.time:.6g} s; `repose resume {where}` goes on")
 
@@ -154,8 +197,9 @@ class Run:
     def output_when_due(self):
         """A snapshot and a checkpoint where the next one is due, and at the end of the run."""
         if self.solver.time >= self.snapshots * self.every or self.stop_reason:
+            state = self.whole_state()
             self.write_snapshot()
-            self.save()
+            self.save(state)
 
     def write_snapshot(self):
         """Positions and the fields that the scene asks for."""
@@ -166,13 +210,13 @@ class Run:
         self.results.write_snapshot(self.solver.time, self.solver.steps, fields)
         self.snapshots = int(self.solver.time / self.every + 1e-9) + 1
 
-    def save(self):
-        """History rows and a checkpoint; a restart regenerates what comes after."""
+    def save(self, state: dict):
+        """History rows and a checkpoint of `state`; a restart regenerates what comes after."""
         if self.unsaved:
             self.results.append_history(self.unsaved)
             self.unsaved = []
         self.saved_time = self.solver.time
-        self.results.write_checkpoint(self.state() | {"snapshots": self.snapshots, "wall_before": self._wall()})
+        self.results.write_checkpoint(state | {"snapshots": self.snapshots, "wall_before": self._wall()})
 
     def _wall(self) -> float:
         since = self.stepping_since

@@ -11,6 +11,7 @@ from explicit.kernels.layout import (
     GRAVITY,
     INVERTED,
     NOT_FINITE,
+    OFF_GRID,
     OVER_LIMIT,
     STEPS,
     TARGET,
@@ -61,7 +62,7 @@ def clock_kernels(real):
         finished = time + dt * float64(1.0 + 1.0e-6) >= clock[TARGET]
         if finished:
             dt = left
-        faults = fault[NOT_FINITE] + fault[TOO_FAST] + fault[INVERTED] + fault[OVER_LIMIT]
+        faults = fault[NOT_FINITE] + fault[TOO_FAST] + fault[INVERTED] + fault[OFF_GRID] + fault[OVER_LIMIT]
         if clock[TRAVEL] > setup.margin or faults > 0:
             dt = float64(0.0)
         if dt > float64(0.0):

@@ -17,10 +17,10 @@ CLOCK_SIZE = 6
 # speed: largest |v| of the points per axis and largest speed at which a point is carried, of the last step
 CARRIED = 3
 SPEED_SIZE = 4
-# fault: index + 1 of a point whose state is not finite, that crossed half a cell in one step, or that was turned
-# inside out; 1 where a fixed time step passes the Courant limit h/(c + |v|)
-NOT_FINITE, TOO_FAST, INVERTED, OVER_LIMIT = range(4)
-FAULT_SIZE = 4
+# fault: index + 1 of a point whose state is not finite, that crossed half a cell in one step, that was turned inside
+# out or whose nodes are not stored; 1 where a fixed time step passes the Courant limit h/(c + |v|)
+NOT_FINITE, TOO_FAST, INVERTED, OFF_GRID, OVER_LIMIT = range(5)
+FAULT_SIZE = 5
 # ledger: time integrals [J], a row each; on a GPU spread over columns, so that atomics do not queue on one address
 WORK_EXTERNAL, WORK_DAMPING, WORK_PLASTIC = range(3)
 LEDGER_ROWS = 3

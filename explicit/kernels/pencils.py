@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.layout import layout
-from mpm.gimp import NODES_PER_AXIS, gimp
+from explicit.kernels.layout import OFF_GRID, layout
+from mpm.gimp import HALF_LENGTH_IN_CELLS, NODES_PER_AXIS, gimp
 
 MARGIN = 1  # cells that a point may travel before the stored nodes must be found anew
 EMPTY = 2**30
@@ -20,6 +20,7 @@ def pencil_kernels(real):
     name, vec3 = types.name, types.vec3
     base_node = gimp(real).base
     margin, empty, reach = wp.constant(MARGIN), wp.constant(EMPTY), wp.constant(REACH)
+    half_length = wp.constant(real(HALF_LENGTH_IN_CELLS))
 
     @wp.kernel(module=name)
     def plan_bounds(x: wp.array(dtype=vec3), inv_cell: real, bounds: wp.array(dtype=wp.int32)):
@@ -100,7 +101,40 @@ def pencil_kernels(real):
         for n in range(start, start + count[i, j]):
             pencil_of[n] = i * count.shape[1] + j
 
+    @wp.kernel(module=name)
+    def find_strays(
+        x: wp.array(dtype=vec3),
+        inv_cell: real,
+        i0: wp.int32,
+        j0: wp.int32,
+        first: wp.array2d(dtype=wp.int32),
+        count: wp.array2d(dtype=wp.int32),
+        fault: wp.array(dtype=wp.int32),
+    ):
+        """Report a point that has a node in its stencil which is not stored."""
+        p = wp.tid()
+        start = inv_cell * x[p] - vec3(half_length, half_length, half_length)
+        stored = wp.int32(0)
+        # In real numbers first: what is not finite, or large, has no index. Comparisons with NaN are false.
+        if (
+            start[0] >= real(i0)
+            and start[1] >= real(j0)
+            and start[0] < real(i0 + count.shape[0] - reach)
+            and start[1] < real(j0 + count.shape[1] - reach)
+            and wp.abs(start[2]) < real(empty)
+        ):
+            i = int(wp.floor(start[0])) - i0
+            j = int(wp.floor(start[1])) - j0
+            k = int(wp.floor(start[2]))
+            for a in range(i, i + reach + 1):
+                for b in range(j, j + reach + 1):
+                    if k >= first[a, b] and k + reach < first[a, b] + count[a, b]:
+                        stored += 1
+        if stored < (reach + 1) * (reach + 1):
+            wp.atomic_max(fault, OFF_GRID, p + 1)
+
     return SimpleNamespace(
+        find_strays=find_strays,
         plan_bounds=plan_bounds,
         clear_spans=clear_spans,
         point_spans=point_spans,

@@ -346,7 +346,7 @@ def test_resume_without_a_checkpoint(refused, tmp_path):
 def test_a_damaged_results_file(refused, tmp_path, command):
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "results.h5").write_bytes(b"not HDF5")
-    assert "run/results.h5 is not readable HDF5" in refused(command, "run")
+    assert "run/results.h5 cannot be read" in refused(command, "run")
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from mpm.errors import SceneError
 HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
 
 
-def each_finding(expected, known):
+def each_finding(expected, known={}):  # noqa: B006 (read only)
     """Parametrises a test over `case`, `solver` and `what` of every finding in `expected` {case: [(solver, what)]}.
 
     `known` {(case, solver, what): why}: findings that do not keep their limit, with the figure.

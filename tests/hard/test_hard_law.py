@@ -19,17 +19,9 @@ EXPECTED = {
         ("law", "isotropic tensions of 1e-300 Pa and less that return NaN"),
     ]
 }
-KNOWN = {  # what does not hold, with its figure
-    (
-        "apex",
-        "law",
-        "isotropic tensions of 1e-300 Pa and less that return NaN",
-    ): "4 of 7, below 1e-316 Pa: d_lambda underflows "
-    "to zero, so that it counts as a return to the cone, whose factor is 0/0 without a deviator",
-}
 
 
-@each_finding(EXPECTED, KNOWN)
+@each_finding(EXPECTED)
 def test_finding_keeps_its_limit(name, solver, what):
     assert_stable(name, solver, what)
 

@@ -319,7 +319,7 @@ def test_files_cut_short_are_refused_in_words(stopped, name):
     size = len(whole[name])
     for length in sorted({0, 1, 8, 96, 800, size - 1, *random.Random(1).sample(range(size), 34)}):
         put(folder, whole | {name: whole[name][:length]})
-        with pytest.raises(SceneError, match=f"{name} is not readable HDF5"):
+        with pytest.raises(SceneError, match=f"{name} cannot be read"):
             read_all(folder)
         assert_refused(call("resume", folder))
         if name == RESULTS:
@@ -365,12 +365,8 @@ def answer_apart(read, seconds=4) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="37 of 300 end in TypeError, KeyError, JSONDecodeError or AttributeError, as the store takes only OSError "
-    "and RuntimeError for damage; in 3 HDF5 does not come back from what it reads",
-    strict=False,
-)
 def test_damaged_files_are_read_or_refused_in_words(stopped):
+    """HDF5 itself may loop on what it reads: one file of these 300, when this was written."""
     folder, whole = stopped
     chance, ends = random.Random(2), Counter()
     for _ in range(300):
@@ -379,4 +375,5 @@ def test_damaged_files_are_read_or_refused_in_words(stopped):
         end = answer_apart(lambda: read_all(folder))
         ends[end.split(":")[0]] += 1
     put(folder, whole)
-    assert set(ends) <= {"read", "SceneError"}, ends
+    assert set(ends) <= {"read", "SceneError", "SIGALRM"}, ends
+    assert ends["SIGALRM"] <= 3, ends

@@ -55,7 +55,7 @@ def test_restart_is_bitwise_equal_to_an_uninterrupted_run(tmp_path):
     for _ in range(9):
         part.advance()
     assert 0.05 < part.solver.time < 0.75
-    part.save()
+    part.save(part.state())
     resume(tmp_path / "cut")
 
     whole, cut = final_state(tmp_path / "whole"), final_state(tmp_path / "cut")
