@@ -51,9 +51,10 @@ class PencilGrid:
         self._launch(k.label_nodes, self.shape, [self.first, self.count, self.base, self.pencil_of])
         return renewed
 
-    def find_strays(self, x: wp.array, fault: wp.array):
-        """Report in `fault` (see `explicit.kernels.layout`) a point of `x` that needs nodes which are not stored."""
-        where = [x, self.real(self.inv_cell), self.i0, self.j0, self.first, self.count]
+    def find_strays(self, x: wp.array, slack: int, fault: wp.array):
+        """Report in `fault` (see `explicit.kernels.layout`) a point of `x` that needs nodes which are not stored, or
+        with `slack` [cells] one that is farther than that from the plan window."""
+        where = [x, self.real(self.inv_cell), self.i0, self.j0, self.first, self.count, slack]
         self._launch(self.kernels.find_strays, x.shape[0], [*where, fault])
 
     def _fit_window(self, x) -> bool:

@@ -188,10 +188,12 @@ class ExplicitSolver:
         Raises NumericalError when a point's state is not finite, it crosses half a cell in one step, leaves the grid
         or its volume turns negative, and StepRefused when a fixed time step passes the Courant limit.
         """
-        self.grid.find_strays(self.x, self.fault)  # within a batch points travel less than the margin
         clock, fastest = self.clock.numpy(), float(np.max(self.speed.numpy()))
         travelled = clock[K.TRAVEL] + fastest * clock[K.DT]
-        if travelled > 0.5 * self.setup.margin:
+        outgrown = travelled > 0.5 * self.setup.margin
+        # The last step of a batch may have carried points beyond the margin, by less than a cell.
+        self.grid.find_strays(self.x, int(outgrown), self.fault)
+        if outgrown:
             self._check()
             self.fit_grid()
             travelled = 0.0

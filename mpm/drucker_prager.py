@@ -157,7 +157,8 @@ def drucker_prager(real):
                 scale = zero
                 volume_strain = (trial - mean) / material.bulk
                 shear_strain = root_j2 / material.shear
-                opened = opened + volume_strain - material.eta_bar * shear_strain  # dilatancy does not close again
+                # Dilatancy does not close again. Not negative but for round-off, where the cone ends at the apex.
+                opened = wp.max(opened + volume_strain - material.eta_bar * shear_strain, zero)
                 d_eps = wp.sqrt(shear_strain * shear_strain / three + two * volume_strain * volume_strain / nine)
             work = mean * volume_strain + scale * (one - scale) * root_j2 * root_j2 / material.shear
         return mean, scale, opened, d_eps, work

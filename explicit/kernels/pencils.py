@@ -109,20 +109,23 @@ def pencil_kernels(real):
         j0: wp.int32,
         first: wp.array2d(dtype=wp.int32),
         count: wp.array2d(dtype=wp.int32),
+        slack: wp.int32,
         fault: wp.array(dtype=wp.int32),
     ):
-        """Report a point that has a node in its stencil which is not stored."""
+        """Report a point whose stencil is not stored; with `slack` [cells], only one farther out of the window."""
         p = wp.tid()
         start = inv_cell * x[p] - vec3(half_length, half_length, half_length)
         stored = wp.int32(0)
         # In real numbers first: what is not finite, or large, has no index. Comparisons with NaN are false.
         if (
-            start[0] >= real(i0)
-            and start[1] >= real(j0)
-            and start[0] < real(i0 + count.shape[0] - reach)
-            and start[1] < real(j0 + count.shape[1] - reach)
+            start[0] >= real(i0 - slack)
+            and start[1] >= real(j0 - slack)
+            and start[0] < real(i0 + count.shape[0] - reach + slack)
+            and start[1] < real(j0 + count.shape[1] - reach + slack)
             and wp.abs(start[2]) < real(empty)
         ):
+            if slack > 0:
+                return
             i = int(wp.floor(start[0])) - i0
             j = int(wp.floor(start[1])) - j0
             k = int(wp.floor(start[2]))
