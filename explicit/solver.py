@@ -14,7 +14,6 @@ from explicit.kernels import step_kernels
 from explicit.kernels.pencils import MARGIN
 from explicit.pencils import PencilGrid
 from mpm.errors import NumericalError, StepRefused
-from mpm.gimp import NODES_PER_AXIS
 from mpm.scene import Body
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
@@ -66,7 +65,6 @@ class ExplicitSolver:
         setup.cfl, setup.fixed_dt = settings.cfl, settings.time_step or 0.0
         setup.wave, setup.gravity = body.constants.p_wave_speed, scene.loads.gravity
         setup.ramp, setup.margin = scene.loads.ramp, MARGIN * scene.grid.cell
-        setup.stencil = NODES_PER_AXIS
         walls = k.Walls()
         for name in ("low", "high", "low_kind", "high_kind"):
             setattr(walls, name, wp.vec3i(*getattr(body.walls, name)))

@@ -25,7 +25,8 @@ def gimp(real):
 
     Members: `base(x, inv_h)` -> int, first node of the stencil on one axis;
     `weights(x, inv_h, base)` -> (S, dS): vec3 of weights [-] and vec3 of slopes [1/m] of nodes base..base+2;
-    `stencil(x, inv_h)` -> (i, j, k, Sx, Sy, Sz, dSx, dSy, dSz): both for a point, axis by axis.
+    `stencil(x, inv_h)` -> (i, j, k, Sx, Sy, Sz, dSx, dSy, dSz): both for a point, axis by axis;
+    `reached(S)` -> int: how many of an axis' three nodes have a weight, 2 where the domain ends before the third.
     `x` is a coordinate or position [m] measured from the lattice's origin, `inv_h` = 1/h [1/m].
     """
     vec3 = wp.types.vector(3, real)
@@ -34,6 +35,7 @@ def gimp(real):
     inv_length = wp.constant(real(0.5 / HALF_LENGTH_IN_CELLS))
     half = wp.constant(real(0.5))
     one = wp.constant(real(1.0))
+    zero = wp.constant(real(0.0))
     name = f"repose_{real.__name__}"
 
     @wp.func(module=name)
@@ -63,4 +65,10 @@ def gimp(real):
         sz, dz = weights(x[2], inv_h, k)
         return i, j, k, sx, sy, sz, dx, dy, dz
 
-    return SimpleNamespace(base=base, weights=weights, stencil=stencil)
+    @wp.func(module=name)
+    def reached(s: vec3):
+        if s[2] > zero:
+            return 3
+        return 2
+
+    return SimpleNamespace(base=base, weights=weights, stencil=stencil, reached=reached)

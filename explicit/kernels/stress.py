@@ -21,8 +21,9 @@ def stress_kernels(real):
     mat33 = types.mat33
     Pencils = types.Pencils
     Setup = types.Setup
+    node_of = types.node_of
     float64 = wp.float64
-    stencil, law = gimp(real).stencil, drucker_prager(real)
+    stencil, reached, law = gimp(real).stencil, gimp(real).reached, drucker_prager(real)
     return_map, second_invariant = law.return_map, law.second_invariant
     Material = law.Material
     zero, one, two, half, three = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 3.0))
@@ -65,9 +66,9 @@ def stress_kernels(real):
         lx = vec4(zero, zero, zero, zero)
         ly = vec4(zero, zero, zero, zero)
         lz = vec4(zero, zero, zero, zero)
-        for a in range(setup.stencil):
-            for b in range(3):
-                n = pencils.base[i + a - pencils.i0, j + b - pencils.j0] + k
+        for a in range(reached(sx)):
+            for b in range(reached(sy)):
+                n = node_of(pencils, i + a, j + b, k)
                 v0 = node_mapped[n]
                 v1 = node_mapped[n + 1]
                 v2 = node_mapped[n + 2]
@@ -113,7 +114,7 @@ def stress_kernels(real):
             opening[p] = open_new
         if d_eps > zero:
             eps_p_eqv[p] = eps_p_eqv[p] + d_eps
-            wp.atomic_add(ledger, WORK_PLASTIC, p % ledger.shape[1], float64(work * volume[p]))
+            wp.atomic_add(ledger, WORK_PLASTIC, p & (ledger.shape[1] - 1), float64(work * volume[p]))
         x[p] = xp + dt * carry[p]
 
     return SimpleNamespace(

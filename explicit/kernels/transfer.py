@@ -19,8 +19,9 @@ def transfer_kernels(real):
     vec6 = types.vec6
     Pencils = types.Pencils
     Setup = types.Setup
+    node_of = types.node_of
     float64 = wp.float64
-    stencil = gimp(real).stencil
+    stencil, reached = gimp(real).stencil, gimp(real).reached
     zero, half = wp.constant(real(0.0)), wp.constant(real(0.5))
 
     @wp.kernel(module=name)
@@ -48,13 +49,13 @@ def transfer_kernels(real):
         force_y = vec4(s[5], s[1], s[3], zero)
         force_z = vec4(s[4], s[3], s[2], zero)
         weight = vec4(zero, zero, -m * real(clock[GRAVITY]), zero)
-        for a in range(setup.stencil):
-            for b in range(3):
+        for a in range(reached(sx)):
+            for b in range(reached(sy)):
                 wxy = sx[a] * sy[b]
                 flat = (dx[a] * sy[b]) * force_x + (sx[a] * dy[b]) * force_y + wxy * weight
                 steep = wxy * force_z
                 load = wxy * carried
-                n = pencils.base[i + a - pencils.i0, j + b - pencils.j0] + k
+                n = node_of(pencils, i + a, j + b, k)
                 for c in range(3):
                     wp.atomic_add(node_momentum, n + c, sz[c] * load)
                     wp.atomic_add(node_force, n + c, sz[c] * flat + dz[c] * steep)
@@ -81,10 +82,10 @@ def transfer_kernels(real):
         i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(xp, setup.inv_cell)
         moved = vec4(zero, zero, zero, zero)
         gained = vec4(zero, zero, zero, zero)
-        for a in range(setup.stencil):
-            for b in range(3):
+        for a in range(reached(sx)):
+            for b in range(reached(sy)):
                 wxy = sx[a] * sy[b]
-                n = pencils.base[i + a - pencils.i0, j + b - pencils.j0] + k
+                n = node_of(pencils, i + a, j + b, k)
                 moved += wxy * (sz[0] * node_velocity[n] + sz[1] * node_velocity[n + 1] + sz[2] * node_velocity[n + 2])
                 gained += wxy * (
                     sz[0] * node_increment[n] + sz[1] * node_increment[n + 1] + sz[2] * node_increment[n + 2]
@@ -95,10 +96,10 @@ def transfer_kernels(real):
         carry[p] = carried
         m = setup.mass
         mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
-        for a in range(setup.stencil):
-            for b in range(3):
+        for a in range(reached(sx)):
+            for b in range(reached(sy)):
                 load = (sx[a] * sy[b]) * mv
-                n = pencils.base[i + a - pencils.i0, j + b - pencils.j0] + k
+                n = node_of(pencils, i + a, j + b, k)
                 for c in range(3):
                     wp.atomic_add(node_mapped, n + c, sz[c] * load)
         # Plain reads first: an atomic only when the point is faster than what is recorded.
