@@ -1,8 +1,11 @@
-"""Points to nodes: mass, momentum, forces and the block rows of the tangent."""
+"""Points to nodes: mass, momentum, forces and the block rows of the tangent.
+
+`order` (points,): forces and blocks are added cell by cell, so that the rows which a point adds to are still near.
+"""
 
 import warp as wp
 
-from implicit.kernels.layout import NAME, OUTSIDE, SELF, mat33, real, vec3
+from implicit.kernels.layout import NAME, NOT_NEGATIVE, OUTSIDE, SELF, mat33, real, vec3
 
 ZERO = wp.constant(real(0.0))
 
@@ -27,7 +30,7 @@ def p2g(
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
-                if n != OUTSIDE:
+                if n > OUTSIDE:
                     w = s[0, a] * s[1, b] * s[2, c]
                     wp.atomic_add(node_mass, n, w * mass)
                     wp.atomic_add(node_momentum, n, (w * mass) * vp)
@@ -51,13 +54,14 @@ def g2p(
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
-                if n != OUTSIDE:
+                if n > OUTSIDE:
                     vp += (s[0, a] * s[1, b] * s[2, c]) * gained[n]
     v[p] = vp
 
 
 @wp.kernel(module=NAME)
 def internal_force(
+    order: wp.array(dtype=wp.int32),
     nodes: wp.array2d(dtype=wp.int32),
     reach: wp.array(dtype=wp.vec3i),
     weight: wp.array(dtype=mat33),
@@ -67,14 +71,14 @@ def internal_force(
     force: wp.array(dtype=vec3),
 ):
     """Add sum V0 (tau F^-T) grad_0 N [N] to `force`."""
-    p = wp.tid()
+    p = order[wp.tid()]
     s, ds, count = weight[p], slope[p], reach[p]
     stress = volume * flux[p]
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
-                if n != OUTSIDE:
+                if n > OUTSIDE:
                     gradient = vec3(
                         ds[0, a] * s[1, b] * s[2, c], s[0, a] * ds[1, b] * s[2, c], s[0, a] * s[1, b] * ds[2, c]
                     )
@@ -83,6 +87,7 @@ def internal_force(
 
 @wp.kernel(module=NAME)
 def stiffness(
+    order: wp.array(dtype=wp.int32),
     nodes: wp.array2d(dtype=wp.int32),
     reach: wp.array(dtype=wp.vec3i),
     weight: wp.array(dtype=mat33),
@@ -93,13 +98,13 @@ def stiffness(
     values: wp.array(dtype=mat33),
 ):
     """Add each point's 3x3 blocks; `place` (nodes, 125) says where a node's block with a neighbour is kept."""
-    p = wp.tid()
+    p = order[wp.tid()]
     s, ds, count = weight[p], slope[p], reach[p]
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
                 row = nodes[p, 9 * a + 3 * b + c]
-                if row != OUTSIDE:
+                if row > OUTSIDE:
                     ga = volume * ds[0, a] * s[1, b] * s[2, c]
                     gb = volume * s[0, a] * ds[1, b] * s[2, c]
                     gc = volume * s[0, a] * s[1, b] * ds[2, c]
@@ -113,13 +118,13 @@ def stiffness(
                             along_z = s[0, d] * s[1, e]
                             at = 25 * (d - a + 2) + 5 * (e - b + 2) - c + 2
                             for f in range(count[2]):
-                                if nodes[p, 9 * d + 3 * e + f] != OUTSIDE:
+                                if nodes[p, 9 * d + 3 * e + f] > OUTSIDE:
                                     block = (
                                         (along_x * s[2, f]) * from_x
                                         + (along_y * s[2, f]) * from_y
                                         + (along_z * ds[2, f]) * from_z
                                     )
-                                    wp.atomic_add(values, place[row, at + f], block)
+                                    wp.atomic_add(values, place[row, (at + f) & NOT_NEGATIVE] & NOT_NEGATIVE, block)
 
 
 @wp.kernel(module=NAME)

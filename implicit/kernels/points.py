@@ -34,7 +34,7 @@ def increment(
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
-                if n != OUTSIDE:
+                if n > OUTSIDE:
                     un = u[n]
                     fx += (ds[0, a] * s[1, b] * s[2, c]) * un
                     fy += (s[0, a] * ds[1, b] * s[2, c]) * un
@@ -163,6 +163,10 @@ def tangent_flux(
             if i == c:
                 value += TWO * g * scale
             normal[i, c] = value
+    # d tau_ij / d l_ij: the quotient of logarithms is the same for ij and ji
+    between = (scale * g) * vec3(
+        log_quotient(square[1], square[2]), log_quotient(square[2], square[0]), log_quotient(square[0], square[1])
+    )
     back = wp.inverse(f)  # reference gradients: grad = F^-T grad_0
     to_reference = back * axes  # row j: reference axis j in principal axes
     for j0 in range(3):
@@ -174,12 +178,11 @@ def tangent_flux(
                         value = (normal[i, i] - tau[i]) * to_reference[j0, i] * to_reference[l0, i]
                         for j in range(3):
                             if j != i:
-                                shear = scale * g * log_quotient(square[i], square[j]) * square[j]
-                                value += shear * to_reference[j0, j] * to_reference[l0, j]
+                                value += between[3 - i - j] * square[j] * to_reference[j0, j] * to_reference[l0, j]
                         block[i, c] = value
                     else:
                         # j = i, l = k: normal coupling; j = k, l = i: shear and the geometric part
-                        shear = scale * g * log_quotient(square[i], square[c]) * square[i] - tau[i]
+                        shear = between[3 - i - c] * square[i] - tau[i]
                         block[i, c] = (
                             normal[i, c] * to_reference[j0, i] * to_reference[l0, c]
                             + shear * to_reference[j0, c] * to_reference[l0, i]
@@ -225,7 +228,7 @@ def commit(
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
-                if n != OUTSIDE:
+                if n > OUTSIDE:
                     step += (s[0, a] * s[1, b] * s[2, c]) * u[n]
     moved[p] = step
     x[p] = x[p] + step
