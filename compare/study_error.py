@@ -29,7 +29,7 @@ from mpm.errors import SceneError
 
 DAMPING = 0.4  # of the explicit runs: the quasistatic collapse that the implicit solver follows
 REPEATS = 3  # runs a point is the median of
-REPEAT_BELOW = 300.0  # [s] a longer run is made once: it averages the machine's noise itself
+REPEAT_BELOW = 120.0  # [s] a longer run is made once: it averages over more of the machine's noise itself
 STIFFER = (10, 100)  # times the scene's Young's modulus
 CFL = (0.25, 1.0)  # beside the scene's own
 REACH = (0.15, 0.6)  # cells that points may go in an implicit step, beside the default of 0.3
@@ -73,7 +73,7 @@ def ladder(reference: str, settings: list[str], cells: list[float], finer: list[
 
 
 def measure(jobs: list[Job], directory: Path, workers: int, force: bool, monitor) -> list[list[Outcome]]:
-    """Run the jobs, those of under five minutes `REPEATS` times; the outcomes of each."""
+    """Run the jobs, those of under two minutes `REPEATS` times; the outcomes of each."""
     first = run_all(jobs, directory, workers, force, monitor)
     short = [one for one in first if one.done and one.summary["wall_s"] < REPEAT_BELOW]
     again = [replace(one.job, name=f"{one.job.name}-r{n}", repeat=n) for one in short for n in range(2, REPEATS + 1)]
