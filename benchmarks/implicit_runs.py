@@ -10,6 +10,7 @@ import csv
 import time
 from pathlib import Path
 
+from compare.bench_worker import timed
 from implicit import newton
 from implicit.relaxation import Regularisation, Rest
 from implicit.solver import ImplicitSolver
@@ -20,21 +21,6 @@ from mpm.errors import NumericalError
 from mpm.provenance import provenance
 from mpm.runout import front, run_out
 from mpm.scene import build, theory
-
-
-def timed(owner, name, seconds):
-    """Add the time spent in a function or method, less that in others timed within it, to `seconds[name]`."""
-    inner = getattr(owner, name)
-
-    def outer(*arguments, **keywords):
-        start, others = time.perf_counter(), sum(seconds.values())
-        try:
-            return inner(*arguments, **keywords)
-        finally:
-            within = sum(seconds.values()) - others
-            seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start - within
-
-    setattr(owner, name, outer)
 
 
 def main():
@@ -51,7 +37,7 @@ def main():
     changed = {key: float(value) for key, value in (item.split("=") for item in options.reg)}
     solver = ImplicitSolver(body, Regularisation(**changed))
     seconds: dict[str, float] = {}
-    for name in ("residual", "tangent"):
+    for name in ("_residual", "tangent"):
         timed(System, name, seconds)
     timed(newton, "_solve", seconds)
 
@@ -79,7 +65,7 @@ def main():
 
     described = provenance("cpu", "float64")
     eq4, measures = theory(body.scene)["eq4"], run_out(solver.x, body.measure)
-    assembly = seconds["residual"] + seconds["tangent"]
+    assembly = seconds["_residual"] + seconds["tangent"]
     row = {
         "scene": options.scene,
         "set": " ".join(options.set),

@@ -1,4 +1,4 @@
-"""The command line: `repose run | resume | plot | compare | study | validate | scenes | info | demo`."""
+"""The command line: `repose run | resume | plot | compare | study | bench | validate | scenes | info | demo`."""
 
 import itertools
 import shlex
@@ -26,6 +26,11 @@ app = typer.Typer(
 class Mode(StrEnum):
     explicit = "explicit"
     implicit = "implicit"
+
+
+class Precision(StrEnum):
+    float32 = "float32"
+    float64 = "float64"
 
 
 study = typer.Typer(help="Many runs and a report of them; what is finished is kept.", no_args_is_help=True)
@@ -147,6 +152,22 @@ def study_stability(
 
     directory = directory or Path("runs") / f"stability{'-quick' if quick else ''}"
     _report(directory, force, study_stability, quick, jobs)
+
+
+@app.command("bench", cls=SpacedNumbers)
+def bench(
+    mode: Annotated[Mode, typer.Argument(metavar="explicit|implicit", help="solver")],
+    device: DeviceOption = "cpu",
+    precision: Annotated[Precision, typer.Option(help="of the explicit solver")] = Precision.float64,
+    cells: Annotated[list[float], typer.Option(metavar="N...", help="cells per r0, in place of the usual sizes")] = [],  # noqa: B006
+    directory: OutOption = None,
+    force: AgainOption = False,
+):
+    """Speed over size, what a step goes into, memory (three minutes on a CPU; run nothing beside it)."""
+    from compare.bench import bench
+
+    directory = directory or Path("runs") / f"bench-{mode.value}-{precision.value}-{device.replace(':', '')}"
+    _report(directory, force, bench, mode.value, device, precision.value, cells)
 
 
 @app.command()

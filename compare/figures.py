@@ -148,6 +148,20 @@ def draw_cost(points, path, ylabel) -> Path:
         return save(figure, path)
 
 
+def draw_growth(points, ylabel, path) -> Path:
+    """Seconds over points, (points, seconds) each, beside the line along which a point costs what it costs at first."""
+    with styled():
+        figure, axes = _panel(3.6)
+        count, seconds = zip(*points, strict=True)
+        axes.loglog(count, seconds, "o-", color=BLUE, label="measured")
+        equal = [seconds[0] * each / count[0] for each in count]
+        axes.loglog(count, equal, "--", color=BLACK, lw=0.9, label="same cost per point")
+        axes.set(xlabel="points", ylabel=ylabel)
+        axes.margins(0.1)
+        _legend(axes)
+        return save(figure, path)
+
+
 def pareto_front(points) -> list[dict]:
     """Those of `points` (rows with seconds and error) than which no other is both as fast and as close."""
     front, best = [], np.inf

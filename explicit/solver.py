@@ -5,6 +5,7 @@ defects; see `explicit.kernels` for each phase.
 """
 
 import math
+import time
 
 import numpy as np
 import warp as wp
@@ -122,11 +123,19 @@ class ExplicitSolver:
         return sum(wp.types.type_size_in_bytes(array.dtype) for array in arrays if array.size)
 
     @property
+    def bytes_per_node(self) -> int:
+        """Memory of one stored node [bytes], without the tables that say where it is."""
+        return sum(wp.types.type_size_in_bytes(array.dtype) for array in self._node_arrays())
+
+    @property
     def bytes(self) -> int:
         """Memory of points and grid on the device [bytes]."""
-        nodes = [self.node_momentum, self.node_force, self.node_mapped]
-        nodes += [self.cell_mean] if self.averaging else []
-        return self.points * self.bytes_per_point + sum(a.capacity for a in nodes) + self.grid.bytes
+        nodes = sum(array.capacity for array in self._node_arrays())
+        return self.points * self.bytes_per_point + nodes + self.grid.bytes
+
+    def _node_arrays(self):
+        arrays = [self.node_momentum, self.node_force, self.node_mapped]
+        return [*arrays, self.cell_mean] if self.averaging else arrays
 
     def fit_grid(self):
         """Store the nodes that the points need now."""
@@ -173,6 +182,20 @@ class ExplicitSolver:
         """One step: the phases in order. Does nothing once the target time is reached."""
         for phase in self._phases:
             phase.launch()
+
+    def time_phases(self, steps: int) -> dict[str, float]:
+        """Take `steps` steps phase by phase: median seconds of each phase."""
+        seconds = {phase.kernel.key.rpartition("__")[2]: [] for phase in self._phases}
+        for _ in range(steps):
+            self.fit_grid()
+            for name, phase in zip(seconds, self._phases, strict=True):
+                wp.synchronize_device(self.device)
+                start = time.perf_counter()
+                phase.launch()
+                wp.synchronize_device(self.device)
+                seconds[name].append(time.perf_counter() - start)
+        self._check()
+        return {name: float(np.median(each)) for name, each in seconds.items()}
 
     def aim(self, target: float):
         """Set the time [s] that `advance` must not pass; the last step is shortened to meet it."""

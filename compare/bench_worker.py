@@ -1,0 +1,146 @@
+"""One measurement of `repose bench`, in a process of its own: `python -m compare.bench_worker JOB ANSWER`.
+
+JOB is JSON: mode, aspect, cells, precision, device, phases; ANSWER the file that its figures are written to.
+"""
+
+import json
+import sys
+import time
+from pathlib import Path
+from statistics import median
+
+BATCHES = 5  # timed ones; their median counts
+BATCH_SECONDS = 1.0
+PHASE_STEPS = 30
+IMPLICIT_STEPS = 8  # of a collapse, from its start
+COPIES = 10
+COPIED = {"cpu": 1 << 26, "cuda": 1 << 29}  # bytes: more than the caches hold
+
+
+def column(aspect: float, cells: float, precision: str):
+    """The body of a quarter column, r0 = 1 m, of `cells` cells per r0."""
+    from mpm.config import load_scene
+    from mpm.scene import build
+
+    settings = [f"geometry.aspect_ratio={aspect!r}", f"explicit.precision={precision}", "explicit.damping=0.05"]
+    return build(load_scene("column_0.5", [*settings, f"grid.cell={1.0 / cells!r}"]))
+
+
+def timed(owner, name: str, seconds: dict[str, float]):
+    """Add the time spent in a function or method, less that in others timed within it, to `seconds[name]`."""
+    inner = getattr(owner, name)
+
+    def outer(*arguments, **keywords):
+        start, others = time.perf_counter(), sum(seconds.values())
+        try:
+            return inner(*arguments, **keywords)
+        finally:
+            within = sum(seconds.values()) - others
+            seconds[name] = seconds.get(name, 0.0) + time.perf_counter() - start - within
+
+    setattr(owner, name, outer)
+
+
+def explicit(job: dict) -> dict:
+    """A column in motion, at t = sqrt(h0/g): throughput without output, set-up, phases, memory, copy bandwidth."""
+    begin = time.perf_counter()
+    from explicit.solver import ExplicitSolver
+    from mpm.devices import find_device
+    from mpm.provenance import peak_memory_mb
+
+    device = find_device(job["device"])
+    imported = time.perf_counter()
+    body = column(job["aspect"], job["cells"], job["precision"])
+    solver = ExplicitSolver(body, job["device"])
+    solver.aim(1e9)
+    solver.advance(0.0)
+    ready = time.perf_counter()
+    solver.advance(0.0)
+    while solver.time < body.time_scale:
+        solver.advance(body.time_scale)
+    rates = [_rate(solver) for _ in range(BATCHES)]
+    answer = {
+        "points": solver.points,
+        "nodes": solver.grid.stored,
+        "point_steps_per_s": median(rates),
+        "slowest": min(rates),
+        "fastest": max(rates),
+        "bandwidth": copy_bandwidth(device),
+        "bytes_per_point": solver.bytes_per_point,
+        "bytes_per_node": solver.bytes_per_node,
+        "state_mb": solver.bytes / 1e6,
+        "memory_mb": peak_memory_mb(),
+        "import_s": imported - begin,
+        "first_step_s": ready - imported,
+    }
+    return answer | {"phases": solver.time_phases(PHASE_STEPS) if job["phases"] else {}}
+
+
+def _rate(solver) -> float:
+    """Point-steps per second of one batch."""
+    first, start, spent = solver.steps, time.perf_counter(), 0.0
+    while spent < BATCH_SECONDS:
+        solver.advance(solver.time + 100 * solver.time_step)
+        spent = time.perf_counter() - start
+    return solver.points * (solver.steps - first) / spent
+
+
+def copy_bandwidth(device) -> float:
+    """Bytes per second that one copy on the device reads and writes, the best of ten."""
+    import warp as wp
+
+    size = COPIED["cuda" if device.is_cuda else "cpu"]
+    one, other = (wp.zeros(size, dtype=wp.uint8, device=device) for _ in range(2))
+    best = float("inf")
+    for _ in range(COPIES):
+        wp.synchronize_device(device)
+        start = time.perf_counter()
+        wp.copy(other, one)
+        wp.synchronize_device(device)
+        best = min(best, time.perf_counter() - start)
+    return 2.0 * size / best
+
+
+def implicit(job: dict) -> dict:
+    """The first steps of a collapse: seconds a Newton iteration, what they go into, memory."""
+    from implicit import newton
+    from implicit.solver import ImplicitSolver
+    from implicit.system import System
+    from mpm.devices import start_warp
+    from mpm.provenance import peak_memory_mb
+
+    begin = time.perf_counter()
+    start_warp()
+    solver = ImplicitSolver(column(job["aspect"], job["cells"], "float64"))
+    ready = time.perf_counter()
+    before = peak_memory_mb()
+    seconds = {"_residual": 0.0, "tangent": 0.0, "_solve": 0.0}
+    timed(System, "_residual", seconds)
+    timed(System, "tangent", seconds)
+    timed(newton, "_solve", seconds)
+    start = time.perf_counter()
+    for _ in range(IMPLICIT_STEPS):
+        solver.advance()
+    spent = time.perf_counter() - start
+    return {
+        "points": solver.points,
+        "unknowns": 3 * solver.nodes_solved_max,
+        "newton_iterations": solver.newton_iterations,
+        "linear_iterations": solver.linear_iterations,
+        "seconds": spent,
+        "phases": {
+            "residual": seconds["_residual"],
+            "tangent": seconds["tangent"],
+            "linear solve": seconds["_solve"],
+            "the rest": spent - sum(seconds.values()),
+        },
+        "setup_s": ready - begin,
+        "memory_mb": peak_memory_mb(),
+        "bytes_per_point": 1e6 * (peak_memory_mb() - before) / solver.points,
+    }
+
+
+if __name__ == "__main__":
+    job = json.loads(sys.argv[1])
+    figures = implicit(job) if job["mode"] == "implicit" else explicit(job)
+    Path(sys.argv[2]).write_text(json.dumps(figures), encoding="utf-8")

@@ -1,0 +1,78 @@
+"""`repose bench`: figures that do not depend on the machine, and what it refuses. Times are not asserted."""
+
+import csv
+import importlib.util
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from compare.bench import FLOOR_BYTES
+from compare.cli import app
+from mpm.errors import SceneError
+
+HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
+
+
+def bench(folder, *arguments):
+    answer = CliRunner().invoke(app, ["bench", *arguments, "--out", str(folder)])
+    if answer.exception and not isinstance(answer.exception, SystemExit):
+        raise answer.exception
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    with open(folder / "table.csv", newline="", encoding="utf-8") as file:
+        return report, list(csv.DictReader(file))
+
+
+def table(report, title):
+    (section,) = [section for section in report["sections"] if section["title"] == title]
+    return section["tables"][0]
+
+
+def test_explicit_table_page_and_phases_are_of_the_same_runs(tmp_path):
+    report, rows = bench(tmp_path, "explicit", "--cells", "4", "6", "--precision", "float32")
+    assert [int(row["points"]) for row in rows] == [208, 672]
+    assert [int(row["bytes_per_point"]) for row in rows] == [72, 72]  # no second set of state: half of float64's 144
+    throughput = table(report, "Throughput")["rows"]
+    for row, shown in zip(rows, throughput, strict=True):
+        rate = float(row["point_steps_per_s"])
+        assert float(row["slowest"]) <= rate <= float(row["fastest"])
+        assert shown[2] == pytest.approx(rate / 1e6)
+        share = rate * FLOOR_BYTES["float32"] / float(row["bandwidth"])
+        assert shown[6] == f"{share:.1%}"
+    phases = table(report, "Phases")["rows"]
+    assert [phase[0] for phase in phases] == [
+        "begin_step", "clear_grid", "p2g", "update_grid", "g2p2g", "hold_walls", "update_stress", "sum"
+    ]  # fmt: skip
+    assert phases[-1][1] == pytest.approx(sum(phase[1] for phase in phases[:-1]))
+    nodes = table(report, "Only what holds material")["rows"]
+    assert [(row[0], row[1], row[2]) for row in nodes[:4]] == [
+        (0.5, 25120, 30375),
+        (1.0, 50240, 180625),
+        (2.0, 100480, 1225125),
+        (4.0, 200960, 8978125),
+    ]  # fmt: skip  (Table 1 of the paper)
+    assert nodes[3][3] < 0.01 * nodes[3][2]
+    assert (tmp_path / "report.html").is_file()
+
+
+@pytest.mark.skipif(not HAS_IMPLICIT, reason="dolfinx or petsc4py is not installed (see ./repose info)")
+def test_implicit_phases_add_up_to_the_time_taken(tmp_path):
+    report, (row,) = bench(tmp_path, "implicit", "--cells", "4")
+    assert (int(row["points"]), int(row["unknowns"]) % 3) == (208, 0)
+    phases = report["rows"][0]["phases"]
+    assert sum(phases.values()) == pytest.approx(float(row["seconds"]))
+    assert all(seconds > 0 for seconds in phases.values())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("implicit", "--precision", "float32"), "the implicit solver runs on the CPU in float64"),
+        (("explicit", "--device", "cuda:7"), "cuda:7"),
+        (("explicit", "--cells", "4.3"), "grid.cell"),
+    ],
+)
+def test_what_cannot_be_measured_is_refused_before_anything_is_written(tmp_path, arguments, said):
+    with pytest.raises(SceneError, match=said):
+        bench(tmp_path / "out", *arguments)
+    assert not (tmp_path / "out").exists()
