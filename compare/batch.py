@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from compare.worker import INTERRUPTED, JOB, OUTCOME
+from compare.worker import JOB, OUTCOME
 from mpm.config import Mesh, Scene, load_scene
 from mpm.devices import find_device
-from mpm.errors import SceneError
+from mpm.errors import INTERRUPTED, SceneError
 from mpm.provenance import code_version, device_name
 from mpm.results import Results
 

@@ -1,6 +1,5 @@
 """`repose bench`: how fast a solver is over the size of a scene, what a step goes into, what it needs of memory."""
 
-import csv
 import json
 import os
 import subprocess
@@ -11,7 +10,7 @@ from pathlib import Path
 from compare.batch import ONE_THREAD
 from compare.bench_worker import column
 from compare.figures import draw_growth
-from compare.report import refuse_another
+from compare.report import refuse_another, write_table
 from compare.sections import check, figure, verdict
 from mpm.devices import find_device
 from mpm.errors import SceneError
@@ -49,11 +48,7 @@ def bench(directory: Path, force, _monitor, command: str, mode: str, device: str
     checks, sections = parts(rows, job, directory)
     here = provenance(device, precision)
     made_by = {name: here[name] for name in ("device_name", "commit", "date")} | {"command": command}
-    with open(directory / "table.csv", "w", newline="", encoding="utf-8") as file:
-        flat = [{**row, **{f"{name} [s]": value for name, value in row["phases"].items()}} | made_by for row in rows]
-        writer = csv.DictWriter(file, [name for name in flat[0] if name != "phases"], extrasaction="ignore")
-        writer.writeheader()
-        writer.writerows(flat)
+    write_table([_flat(row) | made_by for row in rows], directory)
     return {
         "about": about_what,
         "title": f"Speed of the {mode} solver, {precision}, {here['device_name']}",
@@ -78,6 +73,12 @@ def _measured(job: dict, cold: bool = False) -> dict:
         if said.returncode:
             raise RuntimeError(f"{' '.join(asked)} ended with exit code {said.returncode}:\n{said.stderr[-2000:]}")
         return json.loads(answer.read_text(encoding="utf-8"))
+
+
+def _flat(row: dict) -> dict:
+    """A row of the table: the phases as columns."""
+    phases = {f"{name} [s]": seconds for name, seconds in row["phases"].items()}
+    return {name: value for name, value in row.items() if name != "phases"} | phases
 
 
 def _line(row: dict) -> str:

@@ -12,9 +12,7 @@ from rich.table import Table
 
 from compare.options import SpacedNumbers
 from compare.terminal import BatchMonitor, Monitor, err, out, summary_table
-from mpm.errors import NumericalError, SceneError
-
-INTERRUPTED = 130  # what a shell expects after Ctrl-C
+from mpm.errors import INTERRUPTED, NumericalError, SceneError
 
 app = typer.Typer(
     help="Granular column collapse: one scene file, explicit and implicit MPM, compared with theory.",

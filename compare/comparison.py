@@ -1,6 +1,5 @@
 """`repose compare`: implicit against explicit with D = 0.4 and against Eq. 4, from one scene, as a report."""
 
-import csv
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +9,7 @@ from compare.checks import quasistatic_checks
 from compare.drawing import has_eq4, tan_theta
 from compare.figures import draw_cost, draw_histories, draw_plan_and_section, draw_profiles, strain_limit
 from compare.metrics import deposit, eq4_profile, profile, profile_distance
-from compare.report import refuse_another
+from compare.report import refuse_another, write_table
 from compare.sections import (
     WHAT_MEASURES_MEAN,
     about,
@@ -79,8 +78,9 @@ def compare_solvers(directory: Path, force, monitor, command: str, reference: st
     distances = _distances(fine, scene)
     collapsed = any(_ran_out(one) for one in outcomes if one.done)
     checks = quasistatic_checks(outcomes, deposits, distances, collapsed)
+    runs = runs_table(outcomes, labels, deposits)
     sections = [
-        _agreement(outcomes, labels, deposits, distances, directory),
+        _agreement(outcomes, labels, runs, distances, directory),
         _shape(fine, directory),
         _way_to_rest(fine, directory),
         _cost(outcomes, labels, scene, directory),
@@ -90,8 +90,7 @@ def compare_solvers(directory: Path, force, monitor, command: str, reference: st
         {"title": "What the measures mean", "text": WHAT_MEASURES_MEAN, "tables": [], "figures": []},
         eq6_section(),
     ]
-    rows = runs_table(outcomes, labels, deposits)
-    _write_table(rows, directory / "table.csv")
+    write_table([dict(zip(runs["columns"], row, strict=True)) for row in runs["rows"]], directory)
     cells = outcomes[0].job.scene.grid.cell
     return {
         "about": about_what,
@@ -139,9 +138,9 @@ def _distances(fine: dict[str, Outcome], scene: dict) -> dict[str, float]:
     return found
 
 
-def _agreement(outcomes, labels, deposits, distances, directory) -> dict:
+def _agreement(outcomes, labels, runs, distances, directory) -> dict:
     done = [(one, label) for one, label in zip(outcomes[:2], labels[:2], strict=True) if one.done]
-    tables = [runs_table(outcomes, labels, deposits)]
+    tables = [runs]
     scene = outcomes[0].job.scene
     if theory := eq4_of(scene):
         text = [
@@ -209,10 +208,3 @@ def _cost(outcomes, labels, scene, directory) -> dict:
         ratio = implicit["wall_s"] / explicit["wall_s"]
         text.insert(0, f"The implicit run took {ratio:.2f} times the explicit run's time.")
     return {"title": "Cost", "text": text, "tables": [cost_table(outcomes, labels)], "figures": figures}
-
-
-def _write_table(table: dict, path: Path):
-    with open(path, "w", newline="", encoding="utf-8") as file:
-        writer = csv.writer(file)
-        writer.writerow(table["columns"])
-        writer.writerows(table["rows"])

@@ -1,6 +1,7 @@
 """The report of a comparison: report.json and report.html, the page made from what the JSON says and nothing else."""
 
 import base64
+import csv
 import json
 import re
 import struct
@@ -11,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, UndefinedError
 from mpm.errors import SceneError
 from mpm.results import json_value, replace_file
 
-REPORT_JSON, REPORT_HTML = "report.json", "report.html"
+REPORT_JSON, REPORT_HTML, TABLE = "report.json", "report.html", "table.csv"
 TEMPLATE = "report.html.jinja"
 WIDE = 2.0  # width over height from which a figure gets both columns: its letters would be too small in one
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
@@ -58,6 +59,14 @@ def write_report(report: dict, directory: Path) -> Path:
     for name, content in ((REPORT_JSON, text), (REPORT_HTML, page)):
         replace_file(directory / name, lambda path, content=content: path.write_text(content, encoding="utf-8"))
     return directory / REPORT_HTML
+
+
+def write_table(rows: list[dict], directory: Path):
+    """Write table.csv into `directory`: a line a row, a column for each key of the first one."""
+    with open(Path(directory) / TABLE, "w", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def _page(report, directory):

@@ -1,6 +1,5 @@
 """Speed against error: wall time and memory of both solvers over resolution, precision, step and stiffness."""
 
-import csv
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -11,7 +10,7 @@ from compare.batch import Job, Outcome, run_all
 from compare.convergence import Limit, richardson
 from compare.figures import draw_cost, draw_profiles, draw_stiffness
 from compare.metrics import deposit, profile, profile_distance
-from compare.report import refuse_another
+from compare.report import refuse_another, write_table
 from compare.sections import (
     HOW_ENDED,
     WHAT_MEASURES_MEAN,
@@ -325,10 +324,7 @@ def _crossover(stiff) -> tuple[float | None, str]:
 
 
 def _all_rows(rows, measured, directory) -> dict:
-    with open(directory / "table.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(rows, directory)
     columns = ["run", "cells per r0", "changed", "points", "R_995", "over Eq. 4", "error", "volume gain",
                "time stepping [s]", "fastest", "slowest", "runs", "set-up [s]", "memory [MB]", "ended"]  # fmt: skip
     table = []

@@ -1,6 +1,5 @@
 """The paper's runs: aspect ratio and damping, beside the implicit solver, theory and experiments."""
 
-import csv
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,7 +9,7 @@ from compare.batch import Job, Outcome, run_all
 from compare.experiments import measured_runout
 from compare.figures import draw_profiles, draw_run_outs
 from compare.metrics import deposit
-from compare.report import refuse_another
+from compare.report import refuse_another, write_table
 from compare.sections import (
     HOW_ENDED,
     WHAT_MEASURES_MEAN,
@@ -69,10 +68,7 @@ def study_paper(
     rows = [_row(one, tangent) for one in outcomes]
     labels = [one.job.name for one in outcomes]
     checks = _checks(rows)
-    with open(directory / "table.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
+    write_table(rows, directory)
     stability = [stability_table(outcomes, labels), cost_table(outcomes, labels)]
     return {
         "about": about_what,

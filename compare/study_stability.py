@@ -1,6 +1,5 @@
 """`repose study stability`: every hard case in a process of its own, and a table of what held and what did not."""
 
-import csv
 import hashlib
 import json
 import os
@@ -13,7 +12,7 @@ from pathlib import Path
 from compare.batch import ONE_THREAD
 from compare.hard import collapse, faults, interrupted, law, rest, transfer
 from compare.hard.case import CASES, Case, judge
-from compare.report import refuse_another
+from compare.report import refuse_another, write_table
 from compare.sections import check, verdict
 from mpm.provenance import code_version, provenance
 
@@ -38,10 +37,7 @@ def study_stability(directory: Path, force, _monitor, command: str, quick: bool,
     rows = [row for rows in found for row in rows]
     here = provenance("cpu", "float64")
     made_by = {name: here[name] for name in ("cpu", "commit")}
-    with open(directory / "table.csv", "w", newline="", encoding="utf-8") as file:
-        writer = csv.DictWriter(file, [*COLUMNS, *made_by])
-        writer.writeheader()
-        writer.writerows(row | made_by for row in rows)
+    write_table([{name: row[name] for name in COLUMNS} | made_by for row in rows], directory)
     checks = [_check(case.name, rows) for case, rows in zip(cases, found, strict=True)]
     table = {
         "caption": "Stable: within the limit. Degraded: beyond it. Refused: ended by a named error. Died: no answer.",

@@ -10,12 +10,11 @@ from pathlib import Path
 
 from compare.terminal import Monitor
 from mpm.config import parse_scene
-from mpm.errors import NumericalError, SceneError
+from mpm.errors import INTERRUPTED, NumericalError, SceneError
 from mpm.provenance import code_version
 from mpm.results import CHECKPOINT, SUMMARY
 
 JOB, OUTCOME = "job.json", "outcome.json"
-INTERRUPTED = 130
 
 
 def work(folder: Path) -> int:

@@ -22,7 +22,7 @@ from mpm.scene import Body
 STILL = 3e-4
 STEPS_PER_GRAPH = 10
 MOST_STEPS = 200
-LEDGER_COLUMNS_CUDA = 256
+LEDGER_COLUMNS_CUDA = 256  # a power of two: points find theirs with a mask
 POINT_STATE = ("x", "v", "sigma", "volume", "eps_p_eqv", "opening")
 
 

@@ -1,4 +1,6 @@
-"""The two ways a run ends badly, each with its exit code."""
+"""The ways a run ends badly, each with its exit code."""
+
+INTERRUPTED = 130  # exit code after Ctrl-C, as a shell expects
 
 
 class SceneError(ValueError):
