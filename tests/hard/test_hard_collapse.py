@@ -56,7 +56,7 @@ MISSED = {  # what does not hold, with its figure
     ("near-incompressible", SCATTER.format(0.495)): f"8.3 times: {LOCKING}",
     ("near-incompressible, implicit", SCATTER.format(0.49)): f"10.9 times: {LOCKING}",
     ("near-incompressible, implicit", SCATTER.format(0.495)): f"10.9 times: {LOCKING}",
-    ("near-incompressible", "nu = 0.49: R"): "164 % farther: with apex memory 93 % of the points are open and bear no "
+    ("near-incompressible", "nu = 0.49: R"): "163 % farther: with apex memory 93 % of the points are open and bear no "
     "friction, 72 % at nu = 0.3",
     ("near-incompressible", "nu = 0.495: R"): "287 % farther, likewise",
     ("symmetry", "turned by 45 degrees: R"): "4.0 % less: any column off the lattice, turned by 1 to 45 degrees or "
