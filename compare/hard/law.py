@@ -9,7 +9,7 @@ import warp as wp
 
 from compare.hard.case import Finding, hard_case
 from mpm.config import Material, load_scene
-from mpm.devices import start_warp
+from mpm.devices import KERNEL_OPTIONS, start_warp
 from mpm.drucker_prager import drucker_prager
 from mpm.geometry import Seeds
 from mpm.scene import build
@@ -25,10 +25,7 @@ LOOPS, STEPS = 20, 200  # loops, and increments of each
 IDENTITY = np.eye(3)
 ROUNDING = 2.2e-15  # of a strain in an increment: ten roundings, all of one sign
 
-wp.set_module_options(
-    {"enable_backward": False, "cpu_compiler_flags": "-march=native"},
-    module=wp.get_module(MODULE),
-)
+wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(MODULE))
 
 
 @wp.kernel(module=MODULE)

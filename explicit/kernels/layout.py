@@ -11,6 +11,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from mpm.devices import KERNEL_OPTIONS, NOT_NEGATIVE
+
 # clock: float64 scalars of the running step
 TIME, DT, GRAVITY, TARGET, TRAVEL, STEPS = range(6)
 CLOCK_SIZE = 6
@@ -33,12 +35,8 @@ ENERGY_ROWS = 3
 def layout(real):
     """Types and structs for `real` (wp.float32 or wp.float64), and the Warp module all kernels go into."""
     name = f"repose_{real.__name__}"
-    # Warp's default CPU flags cap SLP vectorisation, which costs a fifth of the throughput here. Products and sums are
-    # fused: 4 to 8 % more (benchmarks/README.md).
-    options = {"enable_backward": False, "cpu_compiler_flags": "-march=native -ffp-contract=fast"}
-    wp.set_module_options(options, module=wp.get_module(name))
+    wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(name))
     float64 = wp.float64
-    NOT_NEGATIVE = wp.constant(2**31 - 1)
 
     @wp.struct
     class Pencils:
@@ -77,8 +75,7 @@ def layout(real):
 
     @wp.func(module=name)
     def node_of(pencils: Pencils, i: int, j: int, k: int):
-        """Index of stored node (i, j, k). The masks change nothing: they tell the compiler that no index counts from
-        the end, which Warp would look at before each access."""
+        """Index of stored node (i, j, k)."""
         return (pencils.base[(i - pencils.i0) & NOT_NEGATIVE, (j - pencils.j0) & NOT_NEGATIVE] + k) & NOT_NEGATIVE
 
     return SimpleNamespace(

@@ -126,9 +126,9 @@ def pencil_kernels(real):
         ):
             if slack > 0:
                 return
-            i = int(wp.floor(start[0])) - i0
-            j = int(wp.floor(start[1])) - j0
-            k = int(wp.floor(start[2]))
+            i = base_node(x[p][0], inv_cell) - i0
+            j = base_node(x[p][1], inv_cell) - j0
+            k = base_node(x[p][2], inv_cell)
             for a in range(i, i + reach + 1):
                 for b in range(j, j + reach + 1):
                     if k >= first[a, b] and k + reach < first[a, b] + count[a, b]:

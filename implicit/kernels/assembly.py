@@ -5,7 +5,8 @@
 
 import warp as wp
 
-from implicit.kernels.layout import NAME, NOT_NEGATIVE, OUTSIDE, SELF, mat33, real, vec3
+from implicit.kernels.layout import NAME, OUTSIDE, SELF, mat33, real, vec3
+from mpm.devices import NOT_NEGATIVE
 
 ZERO = wp.constant(real(0.0))
 

@@ -5,6 +5,7 @@ Everything is float64: Newton's residual falls over ten orders, which float32 ca
 
 import warp as wp
 
+from mpm.devices import KERNEL_OPTIONS
 from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
 
@@ -14,13 +15,9 @@ NAME = "repose_implicit"
 LAW, BASIS = drucker_prager(real), gimp(real)
 Material = LAW.Material
 
-wp.set_module_options(
-    {"enable_backward": False, "cpu_compiler_flags": "-march=native -ffp-contract=fast"}, module=wp.get_module(NAME)
-)
+wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(NAME))
 
 STENCIL = 27  # nodes that a point can reach
 NEIGHBOURS = 125  # nodes that can share a point with a node: 5 along each axis
 SELF = 62  # place of the node itself among them
 OUTSIDE = -1  # in place of a node that is not solved for
-# Warp lets indices count from the end and looks at each for that; so masked, the compiler sees that none does.
-NOT_NEGATIVE = wp.constant(2**31 - 1)

@@ -12,6 +12,12 @@ from mpm.errors import SceneError
 HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
 
 
+def of_one_solver(asked, missed):
+    """`expected` and `known` of `each_finding`, from {case: (solver, [what])} and {(case, what): why}."""
+    expected = {name: [(solver, what) for what in whats] for name, (solver, whats) in asked.items()}
+    return expected, {(name, asked[name][0], what): why for (name, what), why in missed.items()}
+
+
 def each_finding(expected, known={}):  # noqa: B006 (read only)
     """Parametrises a test over `case`, `solver` and `what` of every finding in `expected` {case: [(solver, what)]}.
 

@@ -23,7 +23,7 @@ from compare import cli
 from compare.hard.law import LAWS, SAND, return_map
 from explicit.run import run
 from mpm.config import Material, load_scene, preset_names, read_scene_file
-from mpm.devices import start_warp
+from mpm.devices import KERNEL_OPTIONS, start_warp
 from mpm.errors import SceneError
 from mpm.gimp import NODES_PER_AXIS, gimp
 from mpm.results import CHECKPOINT, RESULTS, SUMMARY, Results
@@ -130,7 +130,7 @@ def test_a_rigid_turn_turns_the_implicit_stress_and_no_more(axis, angle, seed):
 
 BASIS = gimp(wp.float64)
 MODULE = "repose_hard_weights"
-wp.set_module_options({"enable_backward": False, "cpu_compiler_flags": "-march=native"}, module=wp.get_module(MODULE))
+wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(MODULE))
 
 
 @wp.kernel(module=MODULE)
