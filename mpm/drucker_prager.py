@@ -85,8 +85,8 @@ def drucker_prager(real):
     returned sqrt(J2). The returned invariants are linear in the trial ones within each regime.
     """
     name = f"repose_{real.__name__}"
-    zero, one, three, nine = (wp.constant(real(value)) for value in (0.0, 1.0, 3.0, 9.0))
-    two, half = wp.constant(real(2.0)), wp.constant(real(0.5))
+    zero, one, half = (wp.constant(real(value)) for value in (0.0, 1.0, 0.5))
+    third, two_ninths = (wp.constant(real(value)) for value in (1.0 / 3.0, 2.0 / 9.0))
     vec6 = wp.types.vector(6, real)
     INTACT, OPEN, USED_UP = (wp.constant(code) for code in range(3))
 
@@ -146,7 +146,7 @@ def drucker_prager(real):
             # Without a deviator there is nothing to scale; `root` alone misses it where shear * d_lambda underflows.
             if root_j2 > zero and (root >= zero or regime != INTACT):
                 scale = wp.max(root, zero) / root_j2  # open, at c = 0: zero but for round-off
-                d_eps = wp.sqrt(d_lambda * d_lambda / three + two * volume_strain * volume_strain / nine)
+                d_eps = wp.sqrt(third * d_lambda * d_lambda + two_ninths * volume_strain * volume_strain)
                 mean = trial - material.bulk * volume_strain
                 if regime != INTACT:
                     gap = opened + trial / material.bulk - volume_strain
@@ -159,7 +159,7 @@ def drucker_prager(real):
                 shear_strain = root_j2 / material.shear
                 # Dilatancy does not close again. Not negative but for round-off, where the cone ends at the apex.
                 opened = wp.max(opened + volume_strain - material.eta_bar * shear_strain, zero)
-                d_eps = wp.sqrt(shear_strain * shear_strain / three + two * volume_strain * volume_strain / nine)
+                d_eps = wp.sqrt(third * shear_strain * shear_strain + two_ninths * volume_strain * volume_strain)
             work = mean * volume_strain + scale * (one - scale) * root_j2 * root_j2 / material.shear
         return mean, scale, opened, d_eps, work
 

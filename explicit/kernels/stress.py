@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from explicit.kernels.lanes import lanes
 from explicit.kernels.layout import DT, INVERTED, WORK_PLASTIC, layout
 from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
@@ -23,10 +24,11 @@ def stress_kernels(real):
     Setup = types.Setup
     node_of = types.node_of
     float64 = wp.float64
-    stencil, reached, law = gimp(real).stencil, gimp(real).reached, drucker_prager(real)
+    stencil, law = gimp(real).stencil, drucker_prager(real)
+    add_scaled, gather = lanes(real).add_scaled, lanes(real).gather
     return_map, second_invariant = law.return_map, law.second_invariant
     Material = law.Material
-    zero, one, two, half, three = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 3.0))
+    zero, one, two, half, third = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 1.0 / 3.0))
 
     @wp.func(module=name)
     def rotate(sigma: vec6, spin: vec3):
@@ -63,20 +65,19 @@ def stress_kernels(real):
         p = wp.tid()
         xp = x[p]
         i, j, k, sx, sy, sz, dx, dy, dz = stencil(xp, setup.inv_cell)
-        lx = vec4(zero, zero, zero, zero)
-        ly = vec4(zero, zero, zero, zero)
-        lz = vec4(zero, zero, zero, zero)
-        for a in range(reached(sx)):
-            for b in range(reached(sy)):
+        none = vec4(zero, zero, zero, zero)
+        lx, ly, lz = none, none, none
+        for a in range(3):
+            mean, bent, slope = none, none, none
+            for b in range(3):
                 n = node_of(pencils, i + a, j + b, k)
-                v0 = node_mapped[n]
-                v1 = node_mapped[n + 1]
-                v2 = node_mapped[n + 2]
-                mean = sz[0] * v0 + sz[1] * v1 + sz[2] * v2
-                slope = dz[0] * v0 + dz[1] * v1 + dz[2] * v2
-                lx += (dx[a] * sy[b]) * mean
-                ly += (sx[a] * dy[b]) * mean
-                lz += (sx[a] * sy[b]) * slope
+                along = gather(node_mapped, n, sz)
+                mean = add_scaled(sy[b], along, mean)
+                bent = add_scaled(dy[b], along, bent)
+                slope = add_scaled(sy[b], gather(node_mapped, n, dz), slope)
+            lx = add_scaled(dx[a], mean, lx)
+            ly = add_scaled(sx[a], bent, ly)
+            lz = add_scaled(sx[a], slope, lz)
         lx = dt * lx
         ly = dt * ly
         lz = dt * lz
@@ -86,16 +87,17 @@ def stress_kernels(real):
         if stretch <= zero:
             wp.atomic_max(fault, INVERTED, p + 1)
         spin = half * vec3(ly[2] - lz[1], lz[0] - lx[2], lx[1] - ly[0])
-        s = rotate(sigma[p], spin)
+        old = sigma[p]
+        s = rotate(old, spin)
         dilation = lx[0] + ly[1] + lz[2]
         g2 = two * material.shear
-        third = dilation / three
-        old_mean = (s[0] + s[1] + s[2]) / three
+        even = third * dilation
+        old_mean = third * (old[0] + old[1] + old[2])
         mean_trial = old_mean + material.bulk * dilation
         deviator = vec6(
-            s[0] - old_mean + g2 * (lx[0] - third),
-            s[1] - old_mean + g2 * (ly[1] - third),
-            s[2] - old_mean + g2 * (lz[2] - third),
+            s[0] - old_mean + g2 * (lx[0] - even),
+            s[1] - old_mean + g2 * (ly[1] - even),
+            s[2] - old_mean + g2 * (lz[2] - even),
             s[3] + material.shear * (ly[2] + lz[1]),
             s[4] + material.shear * (lx[2] + lz[0]),
             s[5] + material.shear * (lx[1] + ly[0]),

@@ -1,10 +1,15 @@
-"""Transfers between points and grid: p2g, and g2p with the second mapping."""
+"""Transfers between points and grid: p2g, and g2p with the second mapping.
+
+Pencils without weight are read, at the cost of a product, but not written to: p2g counts the pencils reached, g2p2g
+looks at each weight in loops that are written out. Each is the fastest of four forms (benchmarks/README.md).
+"""
 
 import functools
 from types import SimpleNamespace
 
 import warp as wp
 
+from explicit.kernels.lanes import lanes
 from explicit.kernels.layout import CARRIED, DT, GRAVITY, NOT_FINITE, TOO_FAST, layout
 from mpm.gimp import gimp
 
@@ -22,6 +27,7 @@ def transfer_kernels(real):
     node_of = types.node_of
     float64 = wp.float64
     stencil, reached = gimp(real).stencil, gimp(real).reached
+    scaled, add_scaled, gather = lanes(real).scaled, lanes(real).add_scaled, lanes(real).gather
     zero, half = wp.constant(real(0.0)), wp.constant(real(0.5))
 
     @wp.kernel(module=name)
@@ -52,13 +58,13 @@ def transfer_kernels(real):
         for a in range(reached(sx)):
             for b in range(reached(sy)):
                 wxy = sx[a] * sy[b]
-                flat = (dx[a] * sy[b]) * force_x + (sx[a] * dy[b]) * force_y + wxy * weight
-                steep = wxy * force_z
-                load = wxy * carried
+                flat = add_scaled(dx[a] * sy[b], force_x, add_scaled(sx[a] * dy[b], force_y, scaled(wxy, weight)))
+                steep = scaled(wxy, force_z)
+                load = scaled(wxy, carried)
                 n = node_of(pencils, i + a, j + b, k)
                 for c in range(3):
-                    wp.atomic_add(node_momentum, n + c, sz[c] * load)
-                    wp.atomic_add(node_force, n + c, sz[c] * flat + dz[c] * steep)
+                    wp.atomic_add(node_momentum, n + c, scaled(sz[c], load))
+                    wp.atomic_add(node_force, n + c, add_scaled(sz[c], flat, scaled(dz[c], steep)))
 
     @wp.kernel(module=name)
     def g2p2g(
@@ -82,26 +88,26 @@ def transfer_kernels(real):
         i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(xp, setup.inv_cell)
         moved = vec4(zero, zero, zero, zero)
         gained = vec4(zero, zero, zero, zero)
-        for a in range(reached(sx)):
-            for b in range(reached(sy)):
+        for a in range(3):
+            for b in range(3):
                 wxy = sx[a] * sy[b]
                 n = node_of(pencils, i + a, j + b, k)
-                moved += wxy * (sz[0] * node_velocity[n] + sz[1] * node_velocity[n + 1] + sz[2] * node_velocity[n + 2])
-                gained += wxy * (
-                    sz[0] * node_increment[n] + sz[1] * node_increment[n + 1] + sz[2] * node_increment[n + 2]
-                )
+                moved = add_scaled(wxy, gather(node_velocity, n, sz), moved)
+                gained = add_scaled(wxy, gather(node_increment, n, sz), gained)
         vp = v[p] + vec3(gained[0], gained[1], gained[2])
         carried = vec3(moved[1], moved[2], moved[3])
         v[p] = vp
         carry[p] = carried
         m = setup.mass
         mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
-        for a in range(reached(sx)):
-            for b in range(reached(sy)):
-                load = (sx[a] * sy[b]) * mv
-                n = node_of(pencils, i + a, j + b, k)
-                for c in range(3):
-                    wp.atomic_add(node_mapped, n + c, sz[c] * load)
+        for a in range(3):
+            for b in range(3):
+                wxy = sx[a] * sy[b]
+                if wxy > zero:
+                    load = scaled(wxy, mv)
+                    n = node_of(pencils, i + a, j + b, k)
+                    for c in range(3):
+                        wp.atomic_add(node_mapped, n + c, scaled(sz[c], load))
         # Plain reads first: an atomic only when the point is faster than what is recorded.
         fastest = zero
         for axis in range(3):
