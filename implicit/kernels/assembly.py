@@ -26,13 +26,14 @@ def p2g(
     """Lumped mass [kg], momentum [kg m/s] and external force [N] of the nodes; `load` [N] acts on a point."""
     p = wp.tid()
     s, count = weight[p], reach[p]
+    sx, sy, sz = s[0], s[1], s[2]
     vp, fp = v[p], load[p]
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
                 if n > OUTSIDE:
-                    w = s[0, a] * s[1, b] * s[2, c]
+                    w = sx[a] * sy[b] * sz[c]
                     wp.atomic_add(node_mass, n, w * mass)
                     wp.atomic_add(node_momentum, n, (w * mass) * vp)
                     wp.atomic_add(node_load, n, w * fp)
@@ -50,13 +51,14 @@ def g2p(
     """FLIP: v_p = keep v_p + sum N gained, `gained` [m/s] what a node's velocity gained over what was kept."""
     p = wp.tid()
     s, count = weight[p], reach[p]
+    sx, sy, sz = s[0], s[1], s[2]
     vp = keep * v[p]
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
                 if n > OUTSIDE:
-                    vp += (s[0, a] * s[1, b] * s[2, c]) * gained[n]
+                    vp += (sx[a] * sy[b] * sz[c]) * gained[n]
     v[p] = vp
 
 
@@ -74,15 +76,15 @@ def internal_force(
     """Add sum V0 (tau F^-T) grad_0 N [N] to `force`."""
     p = order[wp.tid()]
     s, ds, count = weight[p], slope[p], reach[p]
+    sx, sy, sz = s[0], s[1], s[2]
+    dx, dy, dz = ds[0], ds[1], ds[2]
     stress = volume * flux[p]
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
                 if n > OUTSIDE:
-                    gradient = vec3(
-                        ds[0, a] * s[1, b] * s[2, c], s[0, a] * ds[1, b] * s[2, c], s[0, a] * s[1, b] * ds[2, c]
-                    )
+                    gradient = vec3(dx[a] * sy[b] * sz[c], sx[a] * dy[b] * sz[c], sx[a] * sy[b] * dz[c])
                     wp.atomic_add(force, n, stress * gradient)
 
 
@@ -101,29 +103,31 @@ def stiffness(
     """Add each point's 3x3 blocks; `place` (nodes, 125) says where a node's block with a neighbour is kept."""
     p = order[wp.tid()]
     s, ds, count = weight[p], slope[p], reach[p]
+    sx, sy, sz = s[0], s[1], s[2]
+    dx, dy, dz = ds[0], ds[1], ds[2]
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
                 row = nodes[p, 9 * a + 3 * b + c]
                 if row > OUTSIDE:
-                    ga = volume * ds[0, a] * s[1, b] * s[2, c]
-                    gb = volume * s[0, a] * ds[1, b] * s[2, c]
-                    gc = volume * s[0, a] * s[1, b] * ds[2, c]
+                    ga = volume * dx[a] * sy[b] * sz[c]
+                    gb = volume * sx[a] * dy[b] * sz[c]
+                    gc = volume * sx[a] * sy[b] * dz[c]
                     from_x = ga * tangent[p, 0] + gb * tangent[p, 3] + gc * tangent[p, 6]
                     from_y = ga * tangent[p, 1] + gb * tangent[p, 4] + gc * tangent[p, 7]
                     from_z = ga * tangent[p, 2] + gb * tangent[p, 5] + gc * tangent[p, 8]
                     for d in range(count[0]):
                         for e in range(count[1]):
-                            along_x = ds[0, d] * s[1, e]
-                            along_y = s[0, d] * ds[1, e]
-                            along_z = s[0, d] * s[1, e]
+                            along_x = dx[d] * sy[e]
+                            along_y = sx[d] * dy[e]
+                            along_z = sx[d] * sy[e]
                             at = 25 * (d - a + 2) + 5 * (e - b + 2) - c + 2
                             for f in range(count[2]):
                                 if nodes[p, 9 * d + 3 * e + f] > OUTSIDE:
                                     block = (
-                                        (along_x * s[2, f]) * from_x
-                                        + (along_y * s[2, f]) * from_y
-                                        + (along_z * ds[2, f]) * from_z
+                                        (along_x * sz[f]) * from_x
+                                        + (along_y * sz[f]) * from_y
+                                        + (along_z * dz[f]) * from_z
                                     )
                                     wp.atomic_add(values, place[row, (at + f) & NOT_NEGATIVE] & NOT_NEGATIVE, block)
 

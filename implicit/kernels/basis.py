@@ -51,10 +51,11 @@ def touch(
     """Mark the nodes of a window, from node `corner` on, that some point sees by more than round-off."""
     p = wp.tid()
     at, count, s = base[p] - corner, reach[p], weight[p]
+    sx, sy, sz = s[0], s[1], s[2]
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
-                if s[0, a] * s[1, b] * s[2, c] > NO_WEIGHT:
+                if sx[a] * sy[b] * sz[c] > NO_WEIGHT:
                     touched[at[0] + a, at[1] + b, at[2] + c] = 1
 
 

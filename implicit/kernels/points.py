@@ -9,6 +9,7 @@ singularity where principal stretches coincide.
 
 import warp as wp
 
+from implicit.kernels.eigen import eigen
 from implicit.kernels.layout import LAW, NAME, OUTSIDE, Material, mat33, real, vec3, vec6
 
 ZERO, HALF, ONE, TWO, THREE = (wp.constant(real(value)) for value in (0.0, 0.5, 1.0, 2.0, 3.0))
@@ -27,6 +28,8 @@ def increment(
 ):
     """F = I + sum u (x) grad N of point `p`, gradients with respect to where the step started."""
     s, ds, count = weight[p], slope[p], reach[p]
+    sx, sy, sz = s[0], s[1], s[2]
+    dx, dy, dz = ds[0], ds[1], ds[2]
     fx = vec3(ZERO, ZERO, ZERO)
     fy = vec3(ZERO, ZERO, ZERO)
     fz = vec3(ZERO, ZERO, ZERO)
@@ -36,9 +39,9 @@ def increment(
                 n = nodes[p, 9 * a + 3 * b + c]
                 if n > OUTSIDE:
                     un = u[n]
-                    fx += (ds[0, a] * s[1, b] * s[2, c]) * un
-                    fy += (s[0, a] * ds[1, b] * s[2, c]) * un
-                    fz += (s[0, a] * s[1, b] * ds[2, c]) * un
+                    fx += (dx[a] * sy[b] * sz[c]) * un
+                    fy += (sx[a] * dy[b] * sz[c]) * un
+                    fz += (sx[a] * sy[b] * dz[c]) * un
     return mat33(ONE + fx[0], fy[0], fz[0], fx[1], ONE + fy[1], fz[1], fx[2], fy[2], ONE + fz[2])
 
 
@@ -47,7 +50,7 @@ def principal(f: mat33, b: mat33):
     """Principal directions (columns) of b_trial = F b F^T, its eigenvalues and its Hencky strains."""
     trial = f * b * wp.transpose(f)
     # The eigenvalues of b - I: at small strain those of b would lose what they have in common.
-    axes, over = wp.eig3(trial - wp.identity(3, dtype=real))
+    axes, over = eigen(trial - wp.identity(3, dtype=real))
     strain = HALF * vec3(wp.log(ONE + over[0]), wp.log(ONE + over[1]), wp.log(ONE + over[2]))
     return axes, vec3(ONE + over[0], ONE + over[1], ONE + over[2]), strain
 
@@ -223,13 +226,14 @@ def commit(
     if material.plastic > 0:
         eps_p_eqv[p] = eps_p_eqv[p] + d_eps
     s, count = weight[p], reach[p]
+    sx, sy, sz = s[0], s[1], s[2]
     step = vec3(ZERO, ZERO, ZERO)
     for a in range(count[0]):
         for b in range(count[1]):
             for c in range(count[2]):
                 n = nodes[p, 9 * a + 3 * b + c]
                 if n > OUTSIDE:
-                    step += (s[0, a] * s[1, b] * s[2, c]) * u[n]
+                    step += (sx[a] * sy[b] * sz[c]) * u[n]
     moved[p] = step
     x[p] = x[p] + step
 
