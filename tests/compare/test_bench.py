@@ -37,8 +37,11 @@ def test_explicit_table_page_and_phases_are_of_the_same_runs(tmp_path):
         rate = float(row["point_steps_per_s"])
         assert float(row["slowest"]) <= rate <= float(row["fastest"])
         assert shown[2] == pytest.approx(rate / 1e6)
+        assert shown[5] == pytest.approx(float(row["over_yardstick"]))
         share = rate * FLOOR_BYTES["float32"] / float(row["bandwidth"])
-        assert shown[6] == f"{share:.1%}"
+        assert shown[7] == f"{share:.1%}"
+    ratios = [float(row["over_yardstick"]) for row in rows]
+    assert report["checks"][0]["value"] == pytest.approx(max(ratios) / min(ratios) - 1)
     phases = table(report, "Phases")["rows"]
     assert [phase[0] for phase in phases] == [
         "begin_step", "clear_grid", "p2g", "update_grid", "g2p2g", "hold_walls", "update_stress", "sum"
