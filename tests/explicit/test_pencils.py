@@ -6,7 +6,10 @@ import warp as wp
 
 from explicit.kernels.layout import layout
 from explicit.pencils import PencilGrid
+from explicit.solver import ExplicitSolver
+from mpm.config import load_scene
 from mpm.devices import start_warp
+from mpm.scene import build
 
 start_warp()
 CELL = 0.05
@@ -60,3 +63,11 @@ def test_grid_follows_points_that_leave_the_window():
     assert grid.follow(wp.array(x, dtype=VEC3, device="cpu"))
     assert set(map(tuple, stencil_nodes(x))) <= set(map(tuple, stored_nodes(grid)))
     assert grid.stored < 200
+
+
+def test_a_full_column_takes_no_more_than_four_times_its_quarter():
+    scenes = (load_scene("column_small", [f"geometry.symmetry='{part}'"]) for part in ("quarter", "full"))
+    quarter, full = (ExplicitSolver(build(scene), "cpu") for scene in scenes)
+    assert full.points == 4 * quarter.points
+    assert full.grid.stored <= 4 * quarter.grid.stored
+    assert full.bytes <= 4 * quarter.bytes
