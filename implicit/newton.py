@@ -15,9 +15,23 @@ DECREASE = 1e-4  # share of its first-order decrease that the residual's norm mu
 # Shares of the elastic in the plastic modulus with which Newton goes on from such a kink. They fall tenfold with each
 # iteration, so that the last ones are exact Newton; the solution is the same.
 RESCUES = (0.0, 0.01, 0.1)
-# Preconditioners in the order in which they are tried: sweeps over 3x3 blocks, then ILU(1) and complete factors.
-# Sweeps need no set-up and win as long as they converge (benchmarks/results/implicit_linear_cpu.csv).
-PRECONDITIONERS = ("sor", "ilu", "lu")
+# Preconditioners in the order in which they are tried: symmetric sweeps, then ILU(1) and complete factors. Sweeps need
+# no set-up and win as long as they converge (benchmarks/results/implicit_linear_cpu.csv); Eisenstat's form of them
+# passes over the matrix twice an iteration in place of three times, but stands on both its sides.
+PRECONDITIONERS = ("eisenstat", "ilu", "lu")
+
+
+def _row_by_row(indptr, indices):
+    """Compressed rows of single numbers for those of 3x3 blocks, and where in the blocks each number stands."""
+    blocks = np.diff(indptr)
+    lengths = np.repeat(3 * blocks, 3)
+    starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
+    row = np.repeat(np.arange(len(blocks)), 9 * blocks)  # block row of each number
+    within = np.arange(9 * len(indices)) - 9 * indptr[row]
+    line, column = np.divmod(within, 3 * blocks[row])
+    block = indptr[row] + column // 3
+    columns = (3 * indices[block] + column % 3).astype(np.int32)
+    return (starts, columns), 9 * block + 3 * line + column % 3
 
 
 @dataclass
@@ -35,10 +49,12 @@ class Outcome:
 
 
 class _Context:
-    """A system as SNES sees it."""
+    """A system as SNES sees it; `rows` and `values` are its matrix in compressed rows of single numbers."""
 
     def __init__(self, system: System):
         self.system, self.blend = system, 0.0
+        self.rows, self._order = _row_by_row(system.indptr, system.indices)
+        self.values = np.zeros(len(self._order))
 
     def residual(self, _snes, x, f):
         f.array[:] = self._at(x.array_r)
@@ -64,8 +80,7 @@ class _Context:
         s = self.system
         values = s.tangent(x.array_r.reshape(-1, 3), self.blend)
         self.blend = 0.1 * self.blend if self.blend > RESCUES[1] / 100 else 0.0
-        matrix.zeroEntries()
-        matrix.setValuesBlockedCSR(s.indptr, s.indices, values.reshape(-1))
+        np.take(values.reshape(-1), self._order, out=self.values)  # the matrix' own memory
         matrix.assemble()
 
 
@@ -77,8 +92,8 @@ def solve(system: System, tolerance: float, linear_tolerance: float) -> Outcome:
     """
     comm, size = PETSc.COMM_SELF, 3 * system.count
     context = _Context(system)
-    pattern = (system.indptr, system.indices, np.zeros(9 * len(system.indices)))
-    matrix = PETSc.Mat().createBAIJ(size=((size, size), (size, size)), bsize=3, csr=pattern, comm=comm)
+    pattern = (*context.rows, context.values)
+    matrix = PETSc.Mat().createAIJWithArrays(size=((size, size), (size, size)), csr=pattern, comm=comm)
     x, f = matrix.createVecs()
     snes = PETSc.SNES().create(comm)
     try:
@@ -101,7 +116,6 @@ def _configure(snes, linear_tolerance):
     ksp = snes.getKSP()
     ksp.setType("gmres")
     ksp.setGMRESRestart(150)
-    ksp.setPCSide(PETSc.PC.Side.RIGHT)  # left: the preconditioned residual can be small where the true one is not
     ksp.setTolerances(rtol=linear_tolerance, atol=0.0, max_it=300)
     snes.setFromOptions()
 
@@ -114,6 +128,9 @@ def _solve(snes, context, x, tolerance) -> Outcome:
     x.set(0.0)
     while stages:
         context.blend, preconditioner = stages.pop(0)
+        # From the left, factors can leave a small residual where the true one is not.
+        side = PETSc.PC.Side.LEFT if preconditioner == "eisenstat" else PETSc.PC.Side.RIGHT
+        snes.getKSP().setPCSide(side)
         snes.getKSP().getPC().setType(preconditioner)
         if preconditioner == "ilu":
             snes.getKSP().getPC().setFactorLevels(1)  # ILU(0) diverges on these matrices
