@@ -9,9 +9,10 @@ import time
 from pathlib import Path
 from statistics import median
 
-BATCHES = 5  # timed ones; their median counts
+BATCHES = 25  # timed ones; their median counts
+# Steps of a batch. On a CPU so many point-steps, but a few steps at least: a tenth of a second or a few.
+POINT_STEPS_CPU, LEAST_STEPS_CPU, STEPS_CUDA = 400_000, 4, 200
 YARDSTICK_CELLS = 10  # per r0 of a column whose batches are timed in turn with those of the one measured, on a CPU
-BATCH_SECONDS = 1.0
 PHASE_STEPS = 30
 IMPLICIT_STEPS = 8  # of a collapse, from its start
 COPIES = 10
@@ -97,11 +98,11 @@ def _set_in_motion(solver):
 
 def _rate(solver) -> float:
     """Point-steps per second of one batch."""
-    first, start, spent = solver.steps, time.perf_counter(), 0.0
-    while spent < BATCH_SECONDS:
-        solver.advance(solver.time + 100 * solver.time_step)
-        spent = time.perf_counter() - start
-    return solver.points * (solver.steps - first) / spent
+    wanted = STEPS_CUDA if solver.device.is_cuda else max(LEAST_STEPS_CPU, POINT_STEPS_CPU // solver.points)
+    first, start = solver.steps, time.perf_counter()
+    while solver.steps < first + wanted:
+        solver.advance(solver.time + (first + wanted - solver.steps) * solver.time_step)
+    return solver.points * (solver.steps - first) / (time.perf_counter() - start)
 
 
 def copy_bandwidth(device) -> float:
