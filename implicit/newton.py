@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import bsr_matrix
 
 from implicit._dolfinx import PETSc
 from implicit.system import System
@@ -19,19 +20,6 @@ RESCUES = (0.0, 0.01, 0.1)
 # no set-up and win as long as they converge (benchmarks/results/implicit_linear_cpu.csv); Eisenstat's form of them
 # passes over the matrix twice an iteration in place of three times, but stands on both its sides.
 PRECONDITIONERS = ("eisenstat", "ilu", "lu")
-
-
-def _row_by_row(indptr, indices):
-    """Compressed rows of single numbers for those of 3x3 blocks, and where in the blocks each number stands."""
-    blocks = np.diff(indptr)
-    lengths = np.repeat(3 * blocks, 3)
-    starts = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int32)
-    row = np.repeat(np.arange(len(blocks)), 9 * blocks)  # block row of each number
-    within = np.arange(9 * len(indices)) - 9 * indptr[row]
-    line, column = np.divmod(within, 3 * blocks[row])
-    block = indptr[row] + column // 3
-    columns = (3 * indices[block] + column % 3).astype(np.int32)
-    return (starts, columns), 9 * block + 3 * line + column % 3
 
 
 @dataclass
@@ -53,8 +41,9 @@ class _Context:
 
     def __init__(self, system: System):
         self.system, self.blend = system, 0.0
-        self.rows, self._order = _row_by_row(system.indptr, system.indices)
-        self.values = np.zeros(len(self._order))
+        places = np.arange(9 * len(system.indices)).reshape(-1, 3, 3)
+        csr = bsr_matrix((places, system.indices, system.indptr)).tocsr()
+        self.rows, self._order, self.values = (csr.indptr, csr.indices), csr.data, np.zeros(csr.nnz)
 
     def residual(self, _snes, x, f):
         f.array[:] = self._at(x.array_r)

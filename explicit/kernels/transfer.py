@@ -1,7 +1,7 @@
 """Transfers between points and grid: p2g, and g2p with the second mapping.
 
 Pencils without weight are read, at the cost of a product, but not written to: p2g counts the pencils reached, g2p2g
-looks at each weight in loops that are written out. Each is the fastest of four forms (benchmarks/README.md).
+looks at each weight in loops that are written out. Each is the fastest of the forms tried (benchmarks/README.md).
 """
 
 import functools

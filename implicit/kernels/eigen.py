@@ -1,6 +1,6 @@
 """Principal axes of a symmetric 3x3 matrix by Jacobi rotations.
 
-Warp's `eig3` makes a fixed number of approximate rotations and was nine tenths of a residual (benchmarks/README.md).
+Warp's `eig3` makes a fixed number of approximate rotations and was three quarters of a residual (benchmarks/README.md).
 Exact ones converge quadratically: three or four sweeps, none for what is diagonal.
 """
 
