@@ -131,6 +131,7 @@ def summary_table(summary: dict) -> Table:
         "eq4": "quasistatic theory, Eq. 4",
         "eq45": "dynamic theory, Eq. 5 in Eq. 4",
         "h_inf": "final height h_inf [m]",
+        "volume_ratio": "volume / initial volume",
         "sim_time": "pseudo-time [s]" if summary["mode"] == "implicit" else "simulated time [s]",
         "stop_reason": "stopped by",
         "grid_ke_ratio": "grid kinetic energy / its peak",

@@ -15,11 +15,20 @@ from mpm.running import Run, body_of, reopen
 from mpm.runout import front
 from mpm.scene import Body, build
 
-REST_KE = 1e-4  # grid kinetic energy over its peak, below which the body may be at rest
-REST_DRIFT = 1e-3  # relative advance of the front (R_995) over sqrt(h0/g), likewise
+# Grid kinetic energy below which the body may be at rest: over its peak, or over the energy of the fall M g h0, so that
+# what stands is at rest at once.
+REST_KE, REST_KE_OF_FALL = 1e-4, 1e-6
+REST_DRIFT = 1e-3  # relative advance of the front (R_995) over 2 sqrt(h0/g), likewise
+REST_WINDOW = 2.0  # in sqrt(h0/g)
 MAX_TIME = 60.0  # default end, in units of sqrt(h0/g), of a run that never comes to rest
 HISTORY_ROWS = 20  # default history rows per sqrt(h0/g)
 ENERGY_GROWTH = 1.5  # kinetic energy over all energy ever supplied, above which the step is unstable
+# What is no result: at the end, energy that the ledger misses over the work of gravity or, where that is more,
+# LEAST_WORK M g h0 (a body that stands hardly falls); at any time points beyond a wall, in cells, and the volume of a
+# body that yields, over the initial one.
+MOST_RESIDUAL, LEAST_WORK = 0.05, 0.02
+MOST_BELOW = 0.5
+VOLUME_RANGE = (0.7, 1.3)
 
 
 def run(scene: Scene, directory, device="cpu", force=False, monitor=None) -> dict:
@@ -58,6 +67,7 @@ class ExplicitRun(Run):
     """A run of the explicit solver: history rows are due at times, and what ends it is judged on them."""
 
     mode = "explicit"
+    COUNTERS = ("rows", "peak_ke", "peak_work", "e0")
 
     def __init__(self, body: Body, results: Results, device):
         super().__init__(body, results, ExplicitSolver(body, device))
@@ -72,8 +82,9 @@ class ExplicitRun(Run):
         if self.rest_wanted:
             self.history_every = min(self.history_every, watch)  # rest is judged on history rows
         self.rows = 0
-        self.peak_ke = self.e0 = 0.0
-        self.recent: list[tuple[float, float, float]] = []  # (time, R_995, grid KE) over the last sqrt(h0/g)
+        self.peak_ke = self.peak_work = self.e0 = 0.0
+        self.fall = body.point_mass * len(body.x) * scene.loads.gravity * body.height  # M g h0 [J]
+        self.recent: list[tuple[float, float, float]] = []  # (time, R_995, grid KE) over REST_WINDOW
 
     @property
     def x(self) -> np.ndarray:
@@ -93,7 +104,7 @@ class ExplicitRun(Run):
     def state(self) -> dict:
         """What a checkpoint holds beside what every run has."""
         state = self.solver.state()
-        state |= {name: getattr(self, name) for name in ("rows", "peak_ke", "e0")}
+        state |= {name: getattr(self, name) for name in self.COUNTERS}
         state["recent"] = np.array(self.recent).reshape(-1, 3)
         state["nodes_stored_start"] = self.solver.nodes_stored_start
         state["nodes_stored_max"] = self.solver.nodes_stored_max
@@ -102,7 +113,7 @@ class ExplicitRun(Run):
     def restore(self, state: dict):
         """Take over a checkpoint, and drop outputs written after it."""
         super().restore(state)
-        for name in ("rows", "peak_ke", "e0"):
+        for name in self.COUNTERS:
             setattr(self, name, state[name])
         self.recent = [tuple(row) for row in state["recent"]]
         self.solver.nodes_stored_start = int(state["nodes_stored_start"])
@@ -123,6 +134,8 @@ class ExplicitRun(Run):
                 self.stop_reason = "rest"
             elif ended:
                 self.stop_reason = "max_time" if self.rest_wanted else "end_time"
+            if self.stop_reason:
+                self._refuse_open_ledger()
         self.output_when_due()
         return row
 
@@ -131,23 +144,51 @@ class ExplicitRun(Run):
         time_now = self.solver.time
         row = {"time": time_now, "step": self.solver.steps, "dt": self.solver.time_step}
         row |= front(self.x, self.body.measure) | energies
+        row["volume_ratio"] = float(self.solver.volume_ratio.mean())
         supplied = self.e0 + max(energies["W_ext"], 0.0)
         row["residual"] = supplied - self._kinetic_and_elastic(energies)
-        row["residual"] -= energies["W_plastic"] + energies["W_damping"]
+        row["residual"] -= energies["W_plastic"] + energies["W_damping"] + energies["W_decay"]
         self.peak_ke = max(self.peak_ke, energies["KE_grid"])
+        self.peak_work = max(self.peak_work, energies["W_ext"])
         self.recent.append((time_now, row["R_995"], row["KE_grid"]))
-        while len(self.recent) > 1 and self.recent[1][0] <= time_now - self.body.time_scale:
+        while len(self.recent) > 1 and self.recent[1][0] <= time_now - REST_WINDOW * self.body.time_scale:
             self.recent.pop(0)
         self.add_row(row)
         self.rows = int(time_now / self.history_every + 1e-9) + 1
-        floor = 1e-9 * self.body.point_mass * len(self.body.x) * self.body.scene.loads.gravity * self.body.height
-        if energies["KE_points"] > ENERGY_GROWTH * supplied + floor:
+        if wrong := self._diverged(row, supplied):
+            raise NumericalError(f"diverged at t = {time_now:.6g} s, step {self.solver.steps}: {wrong}")
+        return row
+
+    def _refuse_open_ledger(self):
+        """Raises NumericalError where a run that has ended misses more energy than a result may."""
+        missed, work = self.last_row["residual"], max(self.peak_work, LEAST_WORK * self.fall)
+        if abs(missed) > MOST_RESIDUAL * work:
             raise NumericalError(
-                f"diverged at t = {time_now:.6g} s, step {self.solver.steps}: kinetic energy "
-                f"{energies['KE_points']:.4g} J exceeds what gravity supplied, {supplied:.4g} J; "
+                f"no result: at the end, t = {self.solver.time:.6g} s, the energy ledger misses {missed:.4g} J, "
+                f"{missed / work:.1%} of the work of gravity ({MOST_RESIDUAL:.0%} allowed); take a smaller grid.cell, "
+                "or a smaller explicit.cfl where the body is soft"
+            )
+
+    def _diverged(self, row, supplied: float) -> str:
+        """Why what the run has reached can be no result; "" where it may be one."""
+        if row["KE_points"] > ENERGY_GROWTH * supplied + 1e-9 * self.fall:
+            return (
+                f"kinetic energy {row['KE_points']:.4g} J exceeds what gravity supplied, {supplied:.4g} J; "
                 f"the time step {self.solver.time_step:.3g} s is unstable"
             )
-        return row
+        beyond = self._beyond_a_wall()
+        if beyond.max() > MOST_BELOW:
+            point = int(beyond.argmax())
+            return f"point {point} lies {beyond[point]:.2g} cells beyond a wall, at x = {self.x[point]} m"
+        low, high = VOLUME_RANGE
+        if self.body.constants.plastic and not low <= row["volume_ratio"] <= high:
+            return f"volume is {row['volume_ratio']:.3g} of the initial one ({low} to {high} allowed)"
+        return ""
+
+    def _beyond_a_wall(self) -> np.ndarray:
+        """How far each point lies beyond a wall (n,) [cells]; not positive where it does not."""
+        walls, at = self.body.walls, self.x / self.body.scene.grid.cell
+        return np.maximum(np.array(walls.low) - at, at - np.array(walls.high)).max(axis=1)
 
     @staticmethod
     def _kinetic_and_elastic(energies) -> float:
@@ -155,9 +196,11 @@ class ExplicitRun(Run):
 
     def _at_rest(self) -> bool:
         """Grid kinetic energy small all through the last sqrt(h0/g), so that no turning point of a swing counts,
-        and front drift small over it. The points' own kinetic energy never decays under FLIP."""
+        and front drift small over twice that. The points' own kinetic energy hardly decays under FLIP."""
         (since, earlier, _), (now, runout, _) = self.recent[0], self.recent[-1]
-        if now - since < self.body.time_scale or max(ke for _, _, ke in self.recent) > REST_KE * self.peak_ke:
+        scale, still = self.body.time_scale, max(REST_KE * self.peak_ke, REST_KE_OF_FALL * self.fall)
+        lately = [ke for when, _, ke in self.recent if when >= now - scale]
+        if now - since < (REST_WINDOW - 1e-9) * scale or max(lately) > still:
             return False
         return abs(runout - earlier) < REST_DRIFT * (1.0 + runout)
 
@@ -167,9 +210,9 @@ class ExplicitRun(Run):
         makers = {
             "displacement": lambda: self.x - self.body.x,
             "velocity": solver.v.numpy,
-            "stress": solver.sigma.numpy,
-            "pressure": lambda: -solver.sigma.numpy()[:, :3].mean(axis=1),
-            "volume": solver.volume.numpy,
+            "stress": lambda: solver.sigma,
+            "pressure": lambda: -solver.sigma[:, :3].mean(axis=1),
+            "volume": lambda: self.body.point_volume * solver.volume_ratio,
         }
         if self.body.constants.plastic:
             makers["eps_p_eqv"] = solver.eps_p_eqv.numpy
@@ -182,7 +225,7 @@ class ExplicitRun(Run):
         return {
             "mass_error": abs(solver.grid_mass() / total - 1.0),
             "grid_ke_ratio": row["KE_grid"] / self.peak_ke if self.peak_ke else 0.0,
-            "energy_residual": row["residual"] / max(row["W_ext"], 1e-300),
+            "energy_residual": row["residual"] / max(self.peak_work, 1e-300),
             "nodes_stored_start": solver.nodes_stored_start,
             "nodes_stored_max": solver.nodes_stored_max,
             "bytes_per_point": solver.bytes_per_point,

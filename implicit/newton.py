@@ -9,6 +9,7 @@ from implicit._dolfinx import PETSc
 from implicit.system import System
 
 MOST_ITERATIONS = 25
+MOST_LINEAR_ITERATIONS = 300  # of one linear solve; beyond, the next preconditioner is tried
 # A line search that must shorten a step below this has no descent: at a kink (a point that just closes, or just
 # yields) the tangent of one side points uphill.
 SHORTEST = 0.03
@@ -16,17 +17,16 @@ DECREASE = 1e-4  # share of its first-order decrease that the residual's norm mu
 # Shares of the elastic in the plastic modulus with which Newton goes on from such a kink. They fall tenfold with each
 # iteration, so that the last ones are exact Newton; the solution is the same.
 RESCUES = (0.0, 0.01, 0.1)
-# Preconditioners in the order in which they are tried: symmetric sweeps, then ILU(1) and complete factors. Sweeps need
-# no set-up and win as long as they converge (benchmarks/results/implicit_linear_cpu.csv); Eisenstat's form of them
-# passes over the matrix twice an iteration in place of three times, but stands on both its sides.
-PRECONDITIONERS = ("eisenstat", "ilu", "lu")
+# Preconditioners from the assembled rows, in the order in which they are tried: symmetric sweeps, then ILU(1) and
+# complete factors. Sweeps need no set-up and win as long as they converge.
+PRECONDITIONERS = ("sor", "ilu", "lu")
 
 
 @dataclass
 class Outcome:
     """What a Newton solve gave: the increment `u` (count, 3) [m] if `converged`, and what it took.
 
-    `residuals`: norm of the residual [N] before the first and after each iteration.
+    `residuals`: norm of the residual [N] before the first and after each iteration. `preconditioner`: the last tried.
     """
 
     u: np.ndarray
@@ -34,6 +34,18 @@ class Outcome:
     iterations: int
     linear_iterations: int
     residuals: list[float]
+    preconditioner: str = PRECONDITIONERS[0]
+
+
+class Tangent:
+    """The tangent as PETSc sees a matrix without entries: the assembled rows and the nodes' coupling of pressures."""
+
+    def __init__(self, system: System, assembled):
+        self.system, self.assembled = system, assembled
+
+    def mult(self, _matrix, x, y):
+        self.assembled.mult(x, y)
+        y.array[:] += self.system.coupling(x.array_r)
 
 
 class _Context:
@@ -65,12 +77,13 @@ class _Context:
         y.scale(length)
         return length < 1.0
 
-    def tangent(self, _snes, x, matrix, _preconditioner):
+    def tangent(self, _snes, x, operator, matrix):
         s = self.system
         values = s.tangent(x.array_r.reshape(-1, 3), self.blend)
         self.blend = 0.1 * self.blend if self.blend > RESCUES[1] / 100 else 0.0
         np.take(values.reshape(-1), self._order, out=self.values)  # the matrix' own memory
         matrix.assemble()
+        operator.assemble()
 
 
 def solve(system: System, tolerance: float, linear_tolerance: float) -> Outcome:
@@ -83,16 +96,18 @@ def solve(system: System, tolerance: float, linear_tolerance: float) -> Outcome:
     context = _Context(system)
     pattern = (*context.rows, context.values)
     matrix = PETSc.Mat().createAIJWithArrays(size=((size, size), (size, size)), csr=pattern, comm=comm)
+    operator = PETSc.Mat().createPython(((size, size), (size, size)), Tangent(system, matrix), comm=comm)
+    operator.setUp()
     x, f = matrix.createVecs()
     snes = PETSc.SNES().create(comm)
     try:
         snes.setFunction(context.residual, f)
-        snes.setJacobian(context.tangent, matrix)
+        snes.setJacobian(context.tangent, operator, matrix)
         snes.setLineSearchPreCheck(context.shorten)
         _configure(snes, linear_tolerance)
         return _solve(snes, context, x, tolerance)
     finally:
-        for thing in (snes, matrix, x, f):  # petsc4py would keep them: a gigabyte in a few hundred steps
+        for thing in (snes, operator, matrix, x, f):  # petsc4py would keep them: a gigabyte in a few hundred steps
             thing.destroy()
 
 
@@ -105,7 +120,10 @@ def _configure(snes, linear_tolerance):
     ksp = snes.getKSP()
     ksp.setType("gmres")
     ksp.setGMRESRestart(150)
-    ksp.setTolerances(rtol=linear_tolerance, atol=0.0, max_it=300)
+    # From the left, factors can leave a small residual where the true one is not.
+    ksp.setNormType(PETSc.KSP.NormType.UNPRECONDITIONED)
+    ksp.setPCSide(PETSc.PC.Side.RIGHT)
+    ksp.setTolerances(rtol=linear_tolerance, atol=0.0, max_it=MOST_LINEAR_ITERATIONS)
     snes.setFromOptions()
 
 
@@ -117,9 +135,6 @@ def _solve(snes, context, x, tolerance) -> Outcome:
     x.set(0.0)
     while stages:
         context.blend, preconditioner = stages.pop(0)
-        # From the left, factors can leave a small residual where the true one is not.
-        side = PETSc.PC.Side.LEFT if preconditioner == "eisenstat" else PETSc.PC.Side.RIGHT
-        snes.getKSP().setPCSide(side)
         snes.getKSP().getPC().setType(preconditioner)
         if preconditioner == "ilu":
             snes.getKSP().getPC().setFactorLevels(1)  # ILU(0) diverges on these matrices
@@ -131,7 +146,7 @@ def _solve(snes, context, x, tolerance) -> Outcome:
         residuals += list(snes.getConvergenceHistory()[0])[1 if residuals else 0 :]
         reason = snes.getConvergedReason()
         if reason > 0:
-            return Outcome(x.array.reshape(-1, 3).copy(), True, iterations, linear_iterations, residuals)
+            break
         if reason == reasons.DIVERGED_LINEAR_SOLVE:
             later = PRECONDITIONERS[PRECONDITIONERS.index(preconditioner) + 1 :]
             stages = [(context.blend, later[0]), *((b, later[0]) for b, _ in stages)] if later else []
@@ -139,4 +154,5 @@ def _solve(snes, context, x, tolerance) -> Outcome:
             break
         if iterations >= MOST_ITERATIONS:
             break
-    return Outcome(x.array.reshape(-1, 3).copy(), False, iterations, linear_iterations, residuals)
+    u = x.array.reshape(-1, 3).copy()
+    return Outcome(u, reason > 0, iterations, linear_iterations, residuals, preconditioner)

@@ -147,12 +147,13 @@ class ImplicitRun(Run):
 
     def figures(self) -> dict:
         """What the implicit solver adds to the summary."""
-        solver = self.solver
+        solver, used = self.solver, self.solver.body.constants
         names = ("newton_iterations", "linear_iterations", "failed_steps", "unbalanced_ratio")
         return {
             **{name: getattr(solver, name) for name in names},
             "regularisation": asdict(solver.regularisation),
-            "young_used": self.body.scene.material.young * solver.body.constants.shear / self.body.constants.shear,
+            "young_used": 9.0 * used.bulk * used.shear / (3.0 * used.bulk + used.shear),
+            "bulk_used": used.bulk,
             "nodes_stored_start": solver.nodes_solved_start,
             "nodes_stored_max": solver.nodes_solved_max,
         }

@@ -12,13 +12,14 @@ from mpm.scene import Body
 class Points:
     """State of the material points, float64 on the CPU.
 
-    `x` (n, 3) [m]; `v` (n, 3) [m/s], velocity in pseudo-time; `b_e` (n, 3, 3) elastic left Cauchy-Green tensor [-];
-    `jacobian` (n,) volume over initial volume [-]; `opening` (n,) and `eps_p_eqv` (n,) as in `mpm.drucker_prager`,
-    empty where the material has no use for them; `load` (n, 3) [N] external force; `moved` (n, 3) [m] in the last
-    step. `mass` [kg] and initial `volume` [m3] are those of one point.
+    `x` (n, 3) [m]; `v` (n, 3) [m/s], velocity in pseudo-time; `b_e` (n, 3, 3) elastic left Cauchy-Green tensor [-],
+    isochoric; `mean` (n,) mean Kirchhoff stress [Pa]; `theta` (n,) volume strain [-] that the pressure law sees (see
+    `mpm.drucker_prager`); `jacobian` (n,) volume over initial volume [-]; `eps_p_eqv` (n,) [-], empty where the
+    material is elastic; `load` (n, 3) [N] external force; `moved` (n, 3) [m] in the last step. `mass` [kg] and initial
+    `volume` [m3] are those of one point.
     """
 
-    SAVED = ("x", "v", "b_e", "jacobian", "opening", "eps_p_eqv", "moved")
+    SAVED = ("x", "v", "b_e", "mean", "theta", "jacobian", "eps_p_eqv", "moved")
 
     def __init__(self, body: Body):
         constants, n = body.constants, len(body.x)
@@ -27,7 +28,8 @@ class Points:
         self.v = wp.zeros(n, dtype=vec3, device="cpu")
         self.b_e = wp.array(np.tile(np.eye(3), (n, 1, 1)), dtype=mat33, device="cpu")
         self.jacobian = wp.full(n, real(1.0), dtype=real, device="cpu")
-        self.opening = wp.zeros(n if constants.plastic and constants.apex_memory else 0, dtype=real, device="cpu")
+        self.mean = wp.zeros(n, dtype=real, device="cpu")
+        self.theta = wp.zeros(n, dtype=real, device="cpu")
         self.eps_p_eqv = wp.zeros(n if constants.plastic else 0, dtype=real, device="cpu")
         self.load = wp.zeros(n, dtype=vec3, device="cpu")
         self.moved = wp.zeros(n, dtype=vec3, device="cpu")
@@ -35,8 +37,16 @@ class Points:
     def sigma(self, material) -> np.ndarray:
         """Cauchy stress (n, 6) [Pa]: xx, yy, zz, yz, xz, xy."""
         sigma = wp.zeros(self.count, dtype=vec6, device="cpu")
-        wp.launch(cauchy, self.count, inputs=[self.b_e, self.jacobian, material, sigma], device="cpu")
+        wp.launch(cauchy, self.count, inputs=[self.b_e, self.mean, self.jacobian, material, sigma], device="cpu")
         return sigma.numpy()
+
+    def strain(self, principal: np.ndarray, bulk: float):
+        """Start from elastic Hencky strains `principal` (n, 3) along x, y, z, with the mean stress K tr(strain)."""
+        volumetric = principal.sum(axis=1)
+        deviator = principal - volumetric[:, None] / 3.0
+        self.b_e.numpy()[:] = np.exp(2.0 * deviator)[:, :, None] * np.eye(3)
+        self.theta.numpy()[:] = volumetric
+        self.mean.numpy()[:] = bulk * volumetric
 
     def state(self) -> dict[str, np.ndarray]:
         """What a restart needs, as copies."""

@@ -13,8 +13,8 @@ from implicit.background import Background
 from implicit.kernels import assembly, basis, ghost, points
 from implicit.kernels.layout import NEIGHBOURS, OUTSIDE, SELF, STENCIL, mat33, real, vec3
 from implicit.state import Basis, Points
+from implicit.volume import OWN_SHARE, Volume
 
-SMALLEST_STRETCH = 0.05  # det F of a point in one step, below which an increment is refused
 REFUSED = 1e30  # [N] stands for the residual of such an increment: a line search shortens it
 WEAK = 0.2  # share of a bulk node's mass below which the ghost penalty ties a node to those behind it
 STRIDES = (25, 5, 1)  # of the three axes, among a node's 125 neighbours
@@ -26,7 +26,7 @@ class System:
     `count` nodes are solved for: those that some point sees and that no wall holds altogether. `dofs` (count,) are
     their blocks in the dolfinx space, `held` (count, 3) bool the components that walls hold, `node_mass` (count,)
     [kg], `velocity` (count, 3) [m/s], `load` (count, 3) [N]. The matrix is kept in 3x3 blocks by compressed rows:
-    `indptr`, `indices`, and the values that `tangent` gives.
+    `indptr`, `indices`, and the values that `tangent` gives; `coupling` is the rest of the exact tangent.
     """
 
     def __init__(self, state: Points, weights: Basis, background: Background, material):
@@ -41,9 +41,10 @@ class System:
         self.force = self._zeros(self.count, vec3)
         self.flux = self._zeros(state.count, mat33)
         self.tangents = self._zeros((state.count, 9), mat33)
-        self.smallest = self._zeros(1, real)
         self.u = self._zeros(self.count, vec3)
-        self._increment = [self.u, self.nodes, weights.reach, weights.weight, weights.slope]
+        self._deformed = None
+        seen = (self._seen, self._seen_count, self.nodes)
+        self.volume = Volume(state, weights, *seen, self._held, material)
         self.resist()
 
     @staticmethod
@@ -62,16 +63,29 @@ class System:
         w = self.weights
         self._launch(basis.touch, self.state.count, w.base, w.reach, w.weight, corner, touched)
         solved = touched.numpy() > 0
+        self._seen_count = int(solved.sum())
+        self._seen = self._look_up(self._numbered(solved), corner)
         solved[solved] = ~background.held[dofs[solved]].all(axis=1)
         self.count = int(solved.sum())
         self.dofs = dofs[solved]
         self.held = background.held[self.dofs]
         self._at = np.argwhere(solved)
-        self._numbers = np.full(window, OUTSIDE, np.int32)
-        self._numbers[solved] = np.arange(self.count)
-        self.nodes = self._zeros((self.state.count, STENCIL), wp.int32)
-        table = wp.array(self._numbers, dtype=wp.int32, device="cpu")
-        self._launch(basis.look_up, self.state.count, self.weights.base, corner, table, self.nodes)
+        self._numbers = self._numbered(solved)
+        self.nodes = self._look_up(self._numbers, corner)
+
+    @staticmethod
+    def _numbered(marked):
+        """Numbers of the marked nodes in the window, OUTSIDE elsewhere."""
+        numbers = np.full(marked.shape, OUTSIDE, np.int32)
+        numbers[marked] = np.arange(marked.sum())
+        return numbers
+
+    def _look_up(self, numbers, corner):
+        """Numbers (points, 27) of the nodes of each point's stencil."""
+        nodes = self._zeros((self.state.count, STENCIL), wp.int32)
+        table = wp.array(numbers, dtype=wp.int32, device="cpu")
+        self._launch(basis.look_up, self.state.count, self.weights.base, corner, table, nodes)
+        return nodes
 
     def _gather(self):
         """Mass, velocity and external force of the nodes."""
@@ -155,13 +169,10 @@ class System:
 
     def _residual(self, u):
         s, w = self.state, self.weights
-        self.u.numpy()[:] = u
         self.force.zero_()
-        self.smallest.fill_(1.0)
-        strained = (s.b_e, s.opening, self.material, self.viscous, self.flux, self.smallest)
-        self._launch(points.stress_flux, s.count, *self._increment, *strained)
-        if not self.smallest.numpy()[0] > SMALLEST_STRETCH:
+        if not self._deform(u):
             return np.full((self.count, 3), REFUSED)
+        self._launch(points.stress_flux, s.count, *self._strained(), self.flux)
         flux = (self.flux, real(s.volume), self.force)
         self._launch(assembly.internal_force, s.count, self._order, self.nodes, *self._stencils, w.slope, *flux)
         self.unbalanced = self.force.numpy() - self.load
@@ -171,13 +182,31 @@ class System:
         residual[self.held] = 0.0
         return residual
 
+    def _deform(self, u) -> bool:
+        """Strain the points by `u`, unless they are strained by it already; False where one collapses."""
+        if self._deformed is None or not np.array_equal(u, self._deformed[0]):
+            self.u.numpy()[:] = u
+            self._deformed = u.copy(), self.volume.deform(self.u)
+        return self._deformed[1]
+
+    def _strained(self):
+        """What kernels need for the stress of the points at the last increment."""
+        v = self.volume
+        return v.deformation, self.state.b_e, v.nodal, v.gap, self.material, self.viscous
+
+    def coupling(self, v: np.ndarray) -> np.ndarray:
+        """What the blocks of the last `tangent` lack of dR/du, times the flat `v` (3 count,) [m]: force [N]."""
+        return self.volume.coupling(v)
+
     def tangent(self, u: np.ndarray, blend: float = 0.0) -> np.ndarray:
-        """Blocks (blocks, 3, 3) [N/m] of dR/du at `u`, exact for `blend` = 0 (see `tangent_flux`)."""
-        s, w = self.state, self.weights
-        self.u.numpy()[:] = u
+        """Blocks (blocks, 3, 3) [N/m] of dR/du at `u`; with `coupling` exact for `blend` = 0 (see `tangent_flux`)."""
+        s, w, v = self.state, self.weights, self.volume
         self._values.zero_()
-        moduli = (s.b_e, s.opening, self.material, self.viscous, real(blend), self.tangents)
-        self._launch(points.tangent_flux, s.count, *self._increment, *moduli)
+        self._deform(u)
+        v.set_slopes(blend)
+        moduli = (real(blend), v.closed, real(OWN_SHARE), v.filled, self.tangents, v.volumetric)
+        self._launch(points.tangent_flux, s.count, *self._strained(), *moduli)
+        v.linearise()
         blocks = (self.tangents, real(s.volume), self.place, self._values)
         self._launch(assembly.stiffness, s.count, self._order, self.nodes, *self._stencils, w.slope, *blocks)
         ties = (self.triples, self.ghost_stiffness, self.strides, self.place, self._values)
@@ -191,9 +220,10 @@ class System:
     def commit(self, u: np.ndarray):
         """Accept the increment: points move and take their returned state; velocities follow FLIP."""
         s = self.state
-        self.u.numpy()[:] = u
-        changed = (s.x, s.b_e, s.jacobian, s.opening, s.eps_p_eqv, s.moved)
-        self._launch(points.commit, s.count, *self._increment, self.material, self.viscous, *changed)
+        self._deform(u)
+        self.volume.commit()
+        changed = (s.x, s.mean, s.theta, s.eps_p_eqv, s.moved)
+        self._launch(points.commit, s.count, self.u, self.nodes, *self._stencils, *self._strained(), *changed)
         if not self.inertia.any():
             return
         gained = wp.array(u / self.dt - self.momentum * self.velocity, dtype=vec3, device="cpu")

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from mpm.drucker_prager import CONES, Constants, cone_slope, cone_strength
+from mpm.drucker_prager import CONES, Constants, dilatancy_slope, friction_cone
 from mpm.errors import SceneError
 
 Wall = Literal["free", "roller", "fixed"]
@@ -21,6 +21,11 @@ Symmetry = Literal["quarter", "half", "full"]
 FIELDS = ("displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume")
 MOST_POINTS = 1e9  # beyond this a length was meant in another unit; it would exhaust memory
 LONGEST_VALUE = 60  # characters of a rejected value that a message repeats
+# Keys of earlier versions, and why they are gone.
+RETIRED = {
+    "material.apex_memory": "what opens in tension always closes before pressure returns",
+    "explicit.pressure_averaging": "pressure is always averaged, as its law is at the nodes of the grid",
+}
 
 
 def quantity(unit: str, description: str, default: Any = ..., **bounds):
@@ -96,27 +101,28 @@ class Material(Section):
     cohesion: float = quantity("Pa", "cohesion c", 0.0, ge=0)
     dilatancy_angle: float = quantity("degrees", "angle of dilatancy psi", 0.0, ge=0, le=80)
     cone: Literal[CONES] = Field("plane_strain", description="how the cone is matched to Mohr-Coulomb")
-    apex_memory: bool = Field(
-        True, description="what opens in tension must close before pressure returns; false as in the paper's solver"
-    )
 
     def constants(self) -> Constants:
         """Moduli and cone constants (see `mpm.drucker_prager`)."""
+        eta, xi = friction_cone(self.friction_angle, self.cohesion, self.dilatancy_angle, self.cone)
         return Constants(
             bulk=self.young / (3.0 * (1.0 - 2.0 * self.poisson)),
             shear=self.young / (2.0 * (1.0 + self.poisson)),
-            eta=cone_slope(self.friction_angle, self.cone),
-            eta_bar=cone_slope(self.dilatancy_angle, self.cone),
-            xi=cone_strength(self.cohesion, self.friction_angle, self.cone),
+            eta=eta,
+            eta_bar=dilatancy_slope(self.dilatancy_angle, self.cone),
+            xi=xi,
             density=self.density,
             plastic=self.model == "drucker_prager",
-            apex_memory=self.apex_memory,
         )
 
 
 class Loads(Section):
     gravity: float = quantity("m/s2", "gravity along -z", 9.81, ge=0)
     ramp: float = quantity("s", "time over which gravity grows linearly to its full value", 0.0, ge=0)
+    initial_stress: Literal["geostatic", "none"] | None = Field(
+        None,
+        description="start at rest under gravity (K0), or without stress; default: geostatic if implicit, else none",
+    )
 
 
 class Explicit(Section):
@@ -125,15 +131,19 @@ class Explicit(Section):
     time_step: float | None = quantity("s", "fixed time step in place of the adaptive one", None, gt=0)
     until: Literal["rest"] | Annotated[float, Field(gt=0)] = quantity("s", "end time, or 'rest'", "rest")
     max_time: float | None = quantity("s", "end time if rest never comes; default 60 sqrt(height/gravity)", None, gt=0)
+    unseen_decay: float | None = quantity(
+        "s",
+        "decay time of what the grid does not see of a point's velocity; default 4 sqrt(height/gravity)/damping",
+        None,
+        gt=0,
+    )
     precision: Literal["float32", "float64"] = Field("float64", description="floating-point type of the state")
-    pressure_averaging: bool = Field(False, description="replace each point's pressure by its cell's volume average")
 
 
 class Implicit(Section):
-    initial_stress: Literal["geostatic", "none"] = Field(
-        "geostatic", description="start at rest under gravity (K0), or without stress, gravity added in load_steps"
+    load_steps: int = quantity(
+        "-", "equal parts in which gravity is added when loads.initial_stress = 'none'", 20, ge=1
     )
-    load_steps: int = quantity("-", "equal parts in which gravity is added when initial_stress = 'none'", 20, ge=1)
     max_steps: int = quantity("-", "most steps of a run that never comes to rest", 1000, ge=1)
 
 
@@ -305,6 +315,8 @@ def _explain(error: dict) -> str:
     """One problem in one line: key, value, accepted range and unit, or the nearest known key."""
     location = error["loc"]
     key, model, field = _resolve(location)
+    if error["type"] == "extra_forbidden" and key in RETIRED:
+        return f"{key}: no longer a key, delete it ({RETIRED[key]})"
     if error["type"] == "extra_forbidden":
         known, last = list(model.model_fields), str(location[-1])
         near = difflib.get_close_matches(last, known, n=1, cutoff=0.5)
@@ -313,7 +325,7 @@ def _explain(error: dict) -> str:
             name for name, its in Scene.model_fields.items() if last in getattr(its.annotation, "model_fields", ())
         ]
         if sections:
-            hint = f"it belongs in [{sections[0]}]"
+            hint = f"it belongs in [{sections[0]}], as {sections[0]}.{last}"
         return f"{key}: unknown key; {hint}"
     if error["type"] == "missing":
         about = f" ({field.description})" if field is not None and field.description else ""

@@ -1,8 +1,18 @@
 """Isotropic elasticity and the Drucker-Prager cone with its apex, the one place they are written.
 
-Stress is tension positive, sigma_m = tr(sigma)/3, f = sqrt(J2) + eta sigma_m - xi. The return map works on
-the two invariants (sigma_m, sqrt(J2)): the deviator keeps its direction, so the same function serves Cauchy
-stress (explicit) and Kirchhoff stress with Hencky strain (implicit).
+Stress is tension positive, sigma_m = tr(sigma)/3, f = sqrt(J2) + eta sigma_m - xi.
+
+The pressure law lives at the nodes of the background grid, in both solvers (Bonet and Burton's 1998 nodal volume in
+MPM form). A point carries theta_p, the volume strain it has reached; with uGIMP weights N and masses m
+
+    d_i = sum_p N m d_p / sum_p N m,   theta_p += sum_i N d_i,   theta_i = sum_p N m theta_p / sum_p N m,
+    sigma_i = K min(theta_i, xi/(eta K)),   sigma_m of a point = sum_i N sigma_i,
+
+with d_p = ln det F of the step. What a node opens beyond the apex must close before it bears pressure again: theta_i
+remembers it. Were the one-sided law at the eight points of a cell, only the most compressed would bear load: phi = 0
+blocks lock, sand gains volume. The deviator is the point's own; `return_map` takes it to the cone at the mean stress
+that the nodes give. It works on the two invariants (sigma_m, sqrt(J2)), so the same function serves Cauchy stress
+(explicit) and Kirchhoff stress with Hencky strain (implicit).
 """
 
 import functools
@@ -21,8 +31,7 @@ NEVER_YIELDS = 1e30
 class Constants:
     """Material constants of one scene: moduli and strengths in Pa, the rest dimensionless.
 
-    `eta`, `eta_bar` are the friction and dilatancy slopes of the cone, `xi` its cohesive strength [Pa];
-    `apex_memory`: what opens at the apex must close before pressure returns.
+    `eta`, `eta_bar` are the friction and dilatancy slopes of the cone, `xi` its cohesive strength [Pa].
     """
 
     bulk: float
@@ -32,7 +41,6 @@ class Constants:
     xi: float
     density: float
     plastic: bool
-    apex_memory: bool
 
     @property
     def p_wave_modulus(self) -> float:
@@ -44,25 +52,39 @@ class Constants:
         """c = sqrt(M/rho) [m/s]."""
         return math.sqrt(self.p_wave_modulus / self.density)
 
+    @property
+    def opens_at(self) -> float:
+        """Volume strain xi/(eta K) [-] of the apex, beyond which a node opens; NEVER_YIELDS where there is no apex."""
+        stress_per_strain = self.eta * self.bulk  # zero where it underflows, too
+        return self.xi / stress_per_strain if self.plastic and stress_per_strain > 0.0 else NEVER_YIELDS
 
-def cone_slope(angle_deg: float, cone: str) -> float:
-    """Slope eta of the Drucker-Prager cone that matches Mohr-Coulomb at `angle_deg` [degrees].
 
-    `inner` meets the extension corners, `outer` the compression corners, `plane_strain` the plane-strain
-    collapse load. Also gives eta_bar from the dilatancy angle.
+def dilatancy_slope(angle_deg: float, cone: str) -> float:
+    """Slope eta_bar of the flow potential for the dilatancy angle psi `angle_deg` [degrees].
+
+    `plane_strain`: volume strain over greatest shear strain is sin(psi) in plane strain.
     """
-    s, t = math.sin(math.radians(angle_deg)), math.tan(math.radians(angle_deg))
+    s = math.sin(math.radians(angle_deg))
     if cone == "plane_strain":
-        return 3.0 * t / math.sqrt(9.0 + 12.0 * t * t)
+        return s / math.sqrt(1.0 + s * s / 3.0)
     return 6.0 * s / (math.sqrt(3.0) * (3.0 + s if cone == "inner" else 3.0 - s))
 
 
-def cone_strength(cohesion: float, angle_deg: float, cone: str) -> float:
-    """Strength xi [Pa] of the cone for `cohesion` [Pa] and friction `angle_deg` [degrees]."""
-    s, c = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
+def friction_cone(phi_deg: float, cohesion: float, psi_deg: float, cone: str) -> tuple[float, float]:
+    """Slope eta [-] and strength xi [Pa] of the cone that matches Mohr-Coulomb at phi, psi [degrees], c [Pa].
+
+    `inner` meets it in triaxial extension, `outer` in triaxial compression. `plane_strain` meets it where plastic
+    strain out of plane vanishes, at s_z = -2/3 eta_bar sqrt(J2): with A = sqrt(1 - eta_bar^2/3) the Mohr circle has
+    radius A sqrt(J2) and centre sigma_m + eta_bar sqrt(J2)/3. At psi = 0 eta = sin(phi); for associated flow (psi =
+    phi) it is the usual 3 tan(phi)/sqrt(9 + 12 tan(phi)^2).
+    """
+    s, c = math.sin(math.radians(phi_deg)), math.cos(math.radians(phi_deg))
     if cone == "plane_strain":
-        return 3.0 * cohesion / math.sqrt(9.0 + 12.0 * (s / c) ** 2)
-    return 6.0 * cohesion * c / (math.sqrt(3.0) * (3.0 + s if cone == "inner" else 3.0 - s))
+        eta_bar = dilatancy_slope(psi_deg, cone)
+        size = math.sqrt(1.0 - eta_bar * eta_bar / 3.0) + eta_bar * s / 3.0
+        return s / size, cohesion * c / size
+    size = math.sqrt(3.0) * (3.0 + s if cone == "inner" else 3.0 - s)
+    return 6.0 * s / size, 6.0 * cohesion * c / size
 
 
 @functools.cache
@@ -71,24 +93,21 @@ def drucker_prager(real):
 
     `second_invariant(s)` is J2 of a deviator `s` (vec6: xx, yy, zz, yz, xz, xy) [Pa2].
 
-    `return_map(sigma_m, root_j2, opening, material)` takes the trial invariants [Pa] and the volume strain [-] by
-    which the material has opened at the apex, and gives (sigma_m, scale, opening, d_eps, work): the returned mean
-    stress [Pa], the factor on the deviator, the opening that remains, the increment of equivalent plastic strain
-    sqrt(2/3 eps_p:eps_p) [-] and the plastic work per volume [J/m3].
+    `node_law(theta, material)` is the pressure law: mean stress [Pa] of a node at volume strain `theta` [-].
 
-    Shear return where it lands on the cone, otherwise the apex: sigma = (xi/eta) I, zero at c = 0. What opens at
-    the apex must close, at zero pressure, before pressure builds up again. Without that memory each opening and
-    closing leaves the material larger: a psi = 0 column gained 6 % of volume in 1.5 s (tests/physics/test_collapse.py),
-    and crept on past Eq. 4 (benchmarks/results/paper_runs_cpu.csv).
+    `return_map(sigma_m, gap, root_j2, material)` takes the mean stress that the nodes give [Pa], at most xi/eta, the
+    volume strain by which they are open beyond the apex [-] (read only where psi > 0) and the trial sqrt(J2) [Pa]. It
+    gives (sigma_m, scale, dilation, d_eps, work): mean stress [Pa], factor on the deviator, plastic volume strain [-],
+    increment of equivalent plastic strain sqrt(2/3 eps_p:eps_p) [-], plastic work per volume [J/m3]. Dilatancy fills
+    the gap first, at no pressure, and then builds pressure: sigma_m + K (gap - eta_bar d_lambda).
 
-    `return_slopes` (same arguments) differentiates it: d mean/d sigma_m, d mean/d root_j2, and the same of the
-    returned sqrt(J2). The returned invariants are linear in the trial ones within each regime.
+    `return_slopes` (same arguments) differentiates it: (mean_m, mean_g, mean_r, root_m, root_g, root_r), derivatives of
+    the returned mean stress and sqrt(J2) over sigma_m, K gap and root_j2. Within a regime they are constant.
     """
     name = f"repose_{real.__name__}"
     zero, one, half = (wp.constant(real(value)) for value in (0.0, 1.0, 0.5))
     third, two_ninths = (wp.constant(real(value)) for value in (1.0 / 3.0, 2.0 / 9.0))
     vec6 = wp.types.vector(6, real)
-    INTACT, OPEN, USED_UP = (wp.constant(code) for code in range(3))
 
     @wp.struct
     class Material:
@@ -97,90 +116,51 @@ def drucker_prager(real):
         eta: real
         eta_bar: real
         xi: real
+        opens_at: real
         plastic: int
-        apex_memory: int
 
     @wp.func(module=name)
     def second_invariant(s: vec6):
         return half * (s[0] * s[0] + s[1] * s[1] + s[2] * s[2]) + s[3] * s[3] + s[4] * s[4] + s[5] * s[5]
 
     @wp.func(module=name)
-    def close(sigma_m: real, opening: real, material: Material):
-        """What is open closes first, at no pressure: mean stress and opening after that."""
-        trial = sigma_m
-        opened = opening
-        if opening > zero and sigma_m < zero:
-            trial = sigma_m + material.bulk * opening
-            opened = zero  # set, not computed: a rest of round-off would count as open
-            if trial > zero:
-                trial = zero
-                opened = opening + sigma_m / material.bulk
-        return trial, opened
+    def node_law(theta: real, material: Material):
+        return material.bulk * wp.min(theta, material.opens_at)
 
     @wp.func(module=name)
-    def multiplier(root_j2: real, trial: real, opened: real, material: Material):
-        """d_lambda of the shear return, its derivative over f, and what dilatancy does with what is open: nothing yet
-        (INTACT), or takes a part of it at no pressure (OPEN), or all of it and then builds pressure (USED_UP).
-        """
-        f = root_j2 + material.eta * trial - material.xi
-        per_f = one / (material.shear + material.bulk * material.eta * material.eta_bar)
-        d_lambda = f * per_f
-        if opened > zero and material.bulk * material.eta_bar * d_lambda > trial:
-            used_up = (f + material.eta * material.bulk * opened) * per_f
-            if material.eta_bar * used_up > opened + trial / material.bulk:
-                return used_up, per_f, USED_UP
-            return (root_j2 - material.xi) / material.shear, one / material.shear, OPEN
-        return d_lambda, per_f, INTACT
-
-    @wp.func(module=name)
-    def return_map(sigma_m: real, root_j2: real, opening: real, material: Material):
-        trial, opened = close(sigma_m, opening, material)
-        mean = trial
+    def return_map(sigma_m: real, gap: real, root_j2: real, material: Material):
+        mean = sigma_m
         scale = one
+        dilation = zero
         d_eps = zero
         work = zero
-        if root_j2 + material.eta * trial - material.xi > zero:
-            d_lambda, _per_f, regime = multiplier(root_j2, trial, opened, material)
-            volume_strain = material.eta_bar * d_lambda
-            root = root_j2 - material.shear * d_lambda
-            # Without a deviator there is nothing to scale; `root` alone misses it where shear * d_lambda underflows.
-            if root_j2 > zero and (root >= zero or regime != INTACT):
-                scale = wp.max(root, zero) / root_j2  # open, at c = 0: zero but for round-off
-                d_eps = wp.sqrt(third * d_lambda * d_lambda + two_ninths * volume_strain * volume_strain)
-                mean = trial - material.bulk * volume_strain
-                if regime != INTACT:
-                    gap = opened + trial / material.bulk - volume_strain
-                    mean = wp.min(material.bulk * gap, zero)
-                    opened = wp.max(gap, zero)
-            else:
-                mean = material.xi / material.eta
-                scale = zero
-                volume_strain = (trial - mean) / material.bulk
-                shear_strain = root_j2 / material.shear
-                # Dilatancy does not close again. Not negative but for round-off, where the cone ends at the apex.
-                opened = wp.max(opened + volume_strain - material.eta_bar * shear_strain, zero)
-                d_eps = wp.sqrt(third * shear_strain * shear_strain + two_ninths * volume_strain * volume_strain)
-            work = mean * volume_strain + scale * (one - scale) * root_j2 * root_j2 / material.shear
-        return mean, scale, opened, d_eps, work
+        f = root_j2 + material.eta * sigma_m - material.xi
+        if f > zero and root_j2 > zero:  # without a deviator only round-off lies beyond the apex
+            d_lambda = f / material.shear
+            if material.eta_bar * d_lambda > gap:
+                d_lambda = (f + material.eta * material.bulk * gap) / (
+                    material.shear + material.bulk * material.eta * material.eta_bar
+                )
+                mean = sigma_m + material.bulk * (gap - material.eta_bar * d_lambda)
+            dilation = material.eta_bar * d_lambda
+            scale = wp.max(root_j2 - material.shear * d_lambda, zero) / root_j2  # negative by round-off alone
+            d_eps = wp.sqrt(third * d_lambda * d_lambda + two_ninths * dilation * dilation)
+            work = mean * dilation + scale * (one - scale) * root_j2 * root_j2 / material.shear
+        return mean, scale, dilation, d_eps, work
 
     @wp.func(module=name)
-    def return_slopes(sigma_m: real, root_j2: real, opening: real, material: Material):
-        trial, opened = close(sigma_m, opening, material)
-        mean_m, mean_r, root_m, root_r = one, zero, zero, one
-        if opened > zero and sigma_m < zero:
-            mean_m = zero  # closing
-        if root_j2 + material.eta * trial - material.xi > zero:
-            d_lambda, per_f, regime = multiplier(root_j2, trial, opened, material)
-            softens = material.bulk * material.eta_bar * per_f
-            if root_j2 == zero or regime == OPEN or (regime == INTACT and root_j2 < material.shear * d_lambda):
-                mean_m, root_r = zero, zero
-            else:
-                passes = mean_m
-                if regime == USED_UP:
-                    passes = one
-                mean_m, mean_r = passes * (one - softens * material.eta), -softens
-                root_m, root_r = -passes * material.shear * per_f * material.eta, one - material.shear * per_f
-        return mean_m, mean_r, root_m, root_r
+    def return_slopes(sigma_m: real, gap: real, root_j2: real, material: Material):
+        mean_m, mean_g, mean_r, root_m, root_g, root_r = one, zero, zero, zero, zero, one
+        f = root_j2 + material.eta * sigma_m - material.xi
+        if f > zero and root_j2 > zero:
+            root_m, root_r = -material.eta, zero
+            if material.eta_bar * f > material.shear * gap:
+                per_f = one / (material.shear + material.bulk * material.eta * material.eta_bar)
+                mean_m = one - material.bulk * material.eta_bar * material.eta * per_f
+                mean_r = -material.bulk * material.eta_bar * per_f
+                root_m, root_r = -material.shear * material.eta * per_f, one - material.shear * per_f
+                mean_g, root_g = mean_m, root_m
+        return mean_m, mean_g, mean_r, root_m, root_g, root_r
 
     def pack(constants: Constants) -> Material:
         """Material struct for kernels from host constants."""
@@ -190,13 +170,14 @@ def drucker_prager(real):
         material.eta = constants.eta
         material.eta_bar = constants.eta_bar
         material.xi = constants.xi if constants.plastic else NEVER_YIELDS
+        material.opens_at = constants.opens_at
         material.plastic = int(constants.plastic)
-        material.apex_memory = int(constants.plastic and constants.apex_memory)
         return material
 
     return SimpleNamespace(
         Material=Material,
         second_invariant=second_invariant,
+        node_law=node_law,
         return_map=return_map,
         return_slopes=return_slopes,
         pack=pack,

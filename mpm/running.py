@@ -9,6 +9,7 @@ import numpy as np
 from mpm.config import parse_scene
 from mpm.errors import NumericalError, SceneError
 from mpm.geometry import Seeds
+from mpm.packing import packing
 from mpm.provenance import peak_memory_mb
 from mpm.results import Results
 from mpm.runout import run_out
@@ -224,7 +225,7 @@ class Run:
 
     def summary(self) -> dict:
         """What `summary.json` holds; run-outs are (r - r0)/r0 (see `mpm.runout`), lengths in m, times in s."""
-        solver, scene, wall = self.solver, self.body.scene, self._wall()
+        solver, scene, wall, makers = self.solver, self.body.scene, self._wall(), self.field_makers()
         return {
             "mode": self.mode,
             "scene": scene.name,
@@ -238,6 +239,7 @@ class Run:
             "setup_s": self.setup_s,
             "stop_reason": self.stop_reason,
             **run_out(self.x, self.body.measure),
+            **packing(self.x, makers["volume"](), makers["pressure"](), self.body),
             "peak_memory_mb": self.memory_mb(),
             "point_steps_per_s": solver.points * solver.steps / wall,
             **theory(scene),

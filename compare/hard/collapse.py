@@ -3,6 +3,7 @@
 Columns are coarse, so that all of it is affordable; explicit runs at D = 0.05 unless the finding says otherwise.
 """
 
+import time
 from functools import cache
 from tempfile import TemporaryDirectory
 
@@ -13,6 +14,7 @@ from explicit.run import ExplicitRun
 from mpm.analytic import eq45
 from mpm.config import load_scene
 from mpm.devices import find_device
+from mpm.errors import NumericalError
 from mpm.geometry import seed
 from mpm.results import Results
 from mpm.running import Run
@@ -27,19 +29,23 @@ SECTORS = 6  # of the full circle, as run-outs of experiments are read in six di
 REACH = "chaos moves run-outs by 1.5 % either way at 20 cells per r0 (README); twice that in all"
 
 
-def finish(mode: str, scene: str, *settings: str, turned: float = 0.0, **regularisation: float) -> Run:
-    """A run of `scene` with `settings` to its end, its folder gone; points turned by `turned` [degrees] about the axis.
+def finish(
+    mode: str, scene: str, *settings: str, turned=0.0, shifted=(0.0, 0.0, 0.0), device="cpu", **regularisation: float
+) -> Run:
+    """A run of `scene` with `settings` to its end, its folder gone; points turned by `turned` [degrees] about the axis,
+    then moved by `shifted` [m].
 
     Raises NumericalError where it diverges, SceneError where the mode is implicit and dolfinx is missing.
     """
     resolved = load_scene(scene, [*settings, "output.every=1000.0", "output.vtk=false"])
-    place = find_device("cpu")
+    place = find_device(device)
     seeds = seed(resolved.geometry, resolved.grid.cell)
-    body = build(resolved, seeds._replace(x=_turned(seeds.x, turned)))
+    body = build(resolved, seeds._replace(x=_turned(seeds.x, turned) + np.array(shifted)))
     with TemporaryDirectory() as folder:
         results = Results.create(folder, resolved.model_dump(mode="json"), {})
         run = ExplicitRun(body, results, place) if mode == "explicit" else _implicit_run(body, results, regularisation)
         run.begin()
+        run.stepping_since = time.perf_counter()
         while run.stop_reason is None:
             run.advance()
     return run
@@ -181,7 +187,7 @@ ANGLES = (5, 20, 30, 45, 60)
 @hard_case("friction")
 def friction():
     """From a slippery 5 degrees to 60, where ep2's return map would never leave tension."""
-    yield from _friction("explicit", QUARTER, DYNAMIC)
+    yield from _friction("explicit", SIXTH, DAMPED)
 
 
 @hard_case("friction, implicit", slow=True)
@@ -213,10 +219,7 @@ NU_REASON = "run-out is a matter of friction and volume, and psi = 0 keeps the v
 def near_incompressible():
     """nu = 0.49 and 0.495: K is 20 and 40 times as large as at 0.3, 8 points to a cell of first-order hexahedra."""
     yield from _checkerboard("explicit", "explicit.until=2.0")
-    scene = ("explicit", MIDDLE, FIFTH, DYNAMIC, SHORT)
-    yield from _incompressible_collapse(*scene)
-    forgets = (*scene, "material.apex_memory=false")
-    yield same("nu = 0.49, no apex memory", collapse(*forgets, _poisson(0.49)), collapse(*forgets), 0.10, NU_REASON)
+    yield from _incompressible_collapse("explicit", MIDDLE, FIFTH, DYNAMIC, SHORT)
 
 
 @hard_case("near-incompressible, damped", slow=True)
@@ -228,7 +231,7 @@ def near_incompressible_damped():
 @hard_case("near-incompressible, implicit")
 def near_incompressible_implicit():
     """The standing column alone: collapses take minutes."""
-    yield from _checkerboard("implicit", "implicit.initial_stress=none", "implicit.load_steps=5")
+    yield from _checkerboard("implicit", "loads.initial_stress=none", "implicit.load_steps=5")
 
 
 @hard_case("near-incompressible collapse, implicit", slow=True)
@@ -259,7 +262,7 @@ def _poisson(nu: float) -> str:
 
 @hard_case("coarse")
 def coarse():
-    """2, 3 and 4 cells per r0: 26, 84 and 208 points."""
+    """2, 3 and 4 cells per r0: 26, 84 and 208 points: a sound result, or none and the reason."""
     yield from _coarse("explicit", DYNAMIC)
 
 
@@ -271,7 +274,12 @@ def coarse_implicit():
 
 def _coarse(mode, *settings):
     for cells in (2, 3, 4):
-        yield from sound(collapse(mode, LOW, f"grid.cell={1 / cells!r}", *settings), f"{cells} cells per r0")
+        name = f"{cells} cells per r0"
+        try:
+            yield from sound(collapse(mode, LOW, f"grid.cell={1 / cells!r}", *settings), name)
+        except NumericalError as error:
+            refused = "no result: " in str(error)
+            yield Finding(f"{name}: stops without a reason", mode, float(not refused), 0.0, "exit code 3", str(error))
 
 
 @hard_case("precision")
@@ -281,8 +289,8 @@ def precision():
     base = collapse(*scene)
     yield from _single("5 cells per r0", *scene)
     again = finish(*scene)
-    scatter = max(float(np.abs(again.state()[name] - base.state()[name]).max()) for name in ("x", "v", "sigma"))
-    yield Finding("equal runs: largest difference of x, v, sigma", "explicit", scatter, 0.0, "one thread, one order")
+    scatter = max(float(np.abs(again.state()[name] - base.state()[name]).max()) for name in ("x", "v", "tau"))
+    yield Finding("equal runs: largest difference of x, v, tau", "explicit", scatter, 0.0, "one thread, one order")
 
 
 @hard_case("precision, finer", slow=True)

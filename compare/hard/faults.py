@@ -31,8 +31,8 @@ from mpm.results import CHECKPOINT, Results
 
 POINT = 7  # which is struck
 STATE = {
-    "explicit": ("x", "v", "sigma", "volume", "opening", "eps_p_eqv"),
-    "implicit": ("x", "v", "b_e", "jacobian", "opening", "eps_p_eqv"),
+    "explicit": ("x", "v", "tau", "theta", "eps_p_eqv"),
+    "implicit": ("x", "v", "b_e", "mean", "theta", "jacobian", "eps_p_eqv"),
 }
 GOOD = (
     "said in a named error (exit code 3); the last good state is whole on disk, and resumed it ends as if undisturbed"

@@ -57,7 +57,7 @@ def cell_crossing():
         solver.aim(end)
         while solver.time < end:
             solver.advance(end)
-        stress = np.abs(solver.sigma.numpy()).max() / body.scene.material.young
+        stress = np.abs(solver.sigma).max() / body.scene.material.young
         drift = np.linalg.norm(solver.v.numpy() - FLIGHT, axis=1).max() / np.linalg.norm(FLIGHT)
         note = f"{solver.steps} steps, {CELLS_CROSSED} cells along x"
         yield Finding(f"stress over E, {what}", "explicit", float(stress), 1e-10, unity, note)
@@ -78,7 +78,7 @@ def flying_alone():
     solver.v.assign(v)
     sigma = np.zeros((solver.points, 6))
     sigma[flyers, :3] = STRESS_AT_START
-    solver.sigma.assign(sigma)
+    solver.tau.assign(sigma)
     solver.aim(LONGEST_FLIGHT)
     x0, v0 = solver.x.numpy()[flyers].copy(), v[flyers].copy()
     ended, gained, missed, path = np.zeros(len(flyers)), np.zeros(len(flyers)), np.zeros(len(flyers)), 0.0

@@ -28,16 +28,15 @@ def energy_kernels(real):
         setup: Setup,
         material: Material,
         v: wp.array(dtype=vec3),
-        sigma: wp.array(dtype=vec6),
-        volume: wp.array(dtype=real),
+        tau: wp.array(dtype=vec6),
         energy: wp.array2d(dtype=float64),
     ):
-        """Kinetic energy of the points and elastic energy p^2/(2K) + J2/(2G) per volume."""
+        """Kinetic energy of the points and elastic energy tau_m^2/(2K) + J2/(2G) per initial volume."""
         p = wp.tid()
-        s = sigma[p]
+        s = tau[p]
         mean = (s[0] + s[1] + s[2]) / three
         j2 = second_invariant(s - mean * vec6(one, one, one, zero, zero, zero))
-        elastic = half * (mean * mean / material.bulk + j2 / material.shear) * volume[p]
+        elastic = half * (mean * mean / material.bulk + j2 / material.shear) * setup.volume
         wp.atomic_add(energy, KE_POINTS, p % energy.shape[1], float64(half * setup.mass * wp.dot(v[p], v[p])))
         wp.atomic_add(energy, E_ELASTIC, p % energy.shape[1], float64(elastic))
 

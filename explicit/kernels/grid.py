@@ -62,6 +62,7 @@ def grid_kernels(real):
         node_momentum: wp.array(dtype=vec4),
         node_force: wp.array(dtype=vec4),
         node_mapped: wp.array(dtype=vec4),
+        node_dilation: wp.array(dtype=real),
     ):
         if clock[DT] == float64(0.0):
             return
@@ -69,6 +70,7 @@ def grid_kernels(real):
         node_momentum[n] = vec4(zero, zero, zero, zero)
         node_force[n] = vec4(zero, zero, zero, zero)
         node_mapped[n] = vec4(zero, zero, zero, zero)
+        node_dilation[n] = zero
 
     @wp.kernel(module=name)
     def update_grid(
@@ -81,7 +83,7 @@ def grid_kernels(real):
         node_force: wp.array(dtype=vec4),
         ledger: wp.array2d(dtype=float64),
     ):
-        """Momentum and force in; (m, v_new) and the velocity increment dt a out."""
+        """Momentum and force in; (m, v_new) and the velocity increment dt a out, beside it m theta as it was."""
         dt = real(clock[DT])
         if dt == zero:
             return
@@ -101,7 +103,7 @@ def grid_kernels(real):
             dv = dt * ((f - damped) / m)
             v_new = v + dv
             node_momentum[n] = vec4(m, v_new[0], v_new[1], v_new[2])
-            node_force[n] = vec4(dv[0], dv[1], dv[2], zero)
+            node_force[n] = vec4(dv[0], dv[1], dv[2], node_force[n][3])
             lifted = -m * real(clock[GRAVITY]) * v_new[2] * dt
             wp.atomic_add(ledger, WORK_EXTERNAL, n % ledger.shape[1], float64(lifted))
             if setup.damping > zero:

@@ -24,8 +24,8 @@ SPEED_SIZE = 4
 NOT_FINITE, TOO_FAST, INVERTED, OFF_GRID, OVER_LIMIT = range(5)
 FAULT_SIZE = 5
 # ledger: time integrals [J], a row each; on a GPU spread over columns, so that atomics do not queue on one address
-WORK_EXTERNAL, WORK_DAMPING, WORK_PLASTIC = range(3)
-LEDGER_ROWS = 3
+WORK_EXTERNAL, WORK_DAMPING, WORK_PLASTIC, WORK_DECAY = range(4)
+LEDGER_ROWS = 4
 # energies of one instant [J], spread likewise
 KE_POINTS, KE_GRID, E_ELASTIC = range(3)
 ENERGY_ROWS = 3
@@ -57,14 +57,17 @@ def layout(real):
 
     @wp.struct
     class Setup:
-        """Constants of a run. `cell` [m], `mass` of a point [kg], `damping` [-], `still` [m/s] (no damping
-        below), `fixed_dt` [s] (0: adaptive), `wave` P-wave speed [m/s], `gravity` [m/s2], `ramp` [s],
-        `margin` [m] that points may travel before the stored nodes must follow."""
+        """Constants of a run. `cell` [m], `mass` [kg] and initial `volume` [m3] of a point, `damping` [-], `still`
+        [m/s] (no damping below), `decay` [1/s] of the part of a point's velocity that the grid does not see, `fixed_dt`
+        [s] (0: adaptive), `wave` P-wave speed [m/s], `gravity` [m/s2], `ramp` [s], `margin` [m] that points may travel
+        before the stored nodes must follow."""
 
         cell: real
         inv_cell: real
         mass: real
+        volume: real
         damping: real
+        decay: real
         still: real
         cfl: float64
         fixed_dt: float64
@@ -81,7 +84,6 @@ def layout(real):
     return SimpleNamespace(
         name=name,
         node_of=node_of,
-        vec2=wp.types.vector(2, real),
         vec3=wp.types.vector(3, real),
         vec4=wp.types.vector(4, real),
         vec6=wp.types.vector(6, real),

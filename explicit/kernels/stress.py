@@ -1,4 +1,10 @@
-"""The points' stress update: strain increment, objective rotation, return map."""
+"""The points' stress update: strain increment and trial deviator, pressure law at the nodes, return map.
+
+A point carries Kirchhoff stress tau = J sigma and the volume strain `theta` that bears pressure. The deviator of tau
+accumulates 2 G dev(D) dt in the rotated frame, its mean is K theta: in pure stretch that is Hencky's law, which stores
+all energy a fall can supply, as constant moduli between Cauchy stress and strain rate do not (at most E per volume in
+compression). Its force on the nodes needs the initial volume alone.
+"""
 
 import functools
 from types import SimpleNamespace
@@ -26,9 +32,10 @@ def stress_kernels(real):
     float64 = wp.float64
     stencil, law = gimp(real).stencil, drucker_prager(real)
     add_scaled, gather = lanes(real).add_scaled, lanes(real).gather
-    return_map, second_invariant = law.return_map, law.second_invariant
+    return_map, second_invariant, node_law = law.return_map, law.second_invariant, law.node_law
     Material = law.Material
     zero, one, two, half, third = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 1.0 / 3.0))
+    small = wp.constant(real(0.02))  # the series of ln(1 + x) is then right to 1e-11
 
     @wp.func(module=name)
     def rotate(sigma: vec6, spin: vec3):
@@ -42,29 +49,31 @@ def stress_kernels(real):
         r = q * s * wp.transpose(q)
         return vec6(r[0, 0], r[1, 1], r[2, 2], r[1, 2], r[0, 2], r[0, 1])
 
+    @wp.func(module=name)
+    def log_of_one_plus(x: real):
+        """ln(1 + x), to full relative precision where x is small, as it is in nearly every step."""
+        if wp.abs(x) < small:
+            return x * (one - x * (half - x * (third - x * (real(0.25) - x * (real(0.2) - x / real(6.0))))))
+        return wp.log(one + x)
+
     @wp.kernel(module=name)
-    def update_stress(
+    def strain_points(
         setup: Setup,
         material: Material,
         pencils: Pencils,
         clock: wp.array(dtype=float64),
         node_mapped: wp.array(dtype=vec4),
-        carry: wp.array(dtype=vec3),
         x: wp.array(dtype=vec3),
-        sigma: wp.array(dtype=vec6),
-        volume: wp.array(dtype=real),
-        eps_p_eqv: wp.array(dtype=real),
-        opening: wp.array(dtype=real),
-        ledger: wp.array2d(dtype=float64),
+        tau: wp.array(dtype=vec6),
+        node_dilation: wp.array(dtype=real),
         fault: wp.array(dtype=wp.int32),
     ):
-        """Strain increment from the mapped velocity, objective trial stress, return map; then the point moves."""
+        """Velocity gradient of the second mapping; trial deviator into `tau`; mass times ln det F to the nodes."""
         dt = real(clock[DT])
         if dt == zero:
             return
         p = wp.tid()
-        xp = x[p]
-        i, j, k, sx, sy, sz, dx, dy, dz = stencil(xp, setup.inv_cell)
+        i, j, k, sx, sy, sz, dx, dy, dz = stencil(x[p], setup.inv_cell)
         none = vec4(zero, zero, zero, zero)
         lx, ly, lz = none, none, none
         for a in range(3):
@@ -81,44 +90,107 @@ def stress_kernels(real):
         lx = dt * lx
         ly = dt * ly
         lz = dt * lz
-        # columns lx, ly, lz of dL = dt grad v
-        stretch = wp.determinant(mat33(one + lx[0], ly[0], lz[0], lx[1], one + ly[1], lz[1], lx[2], ly[2], one + lz[2]))
-        volume[p] = volume[p] * stretch
-        if stretch <= zero:
+        # columns lx, ly, lz of dL = dt grad v; det(I + dL) - 1 without the 1, which float32 would round to
+        trace = lx[0] + ly[1] + lz[2]
+        minors = lx[0] * ly[1] - ly[0] * lx[1] + lx[0] * lz[2] - lz[0] * lx[2] + ly[1] * lz[2] - lz[1] * ly[2]
+        cube = wp.determinant(mat33(lx[0], ly[0], lz[0], lx[1], ly[1], lz[1], lx[2], ly[2], lz[2]))
+        growth = trace + minors + cube
+        if growth <= -one:
             wp.atomic_max(fault, INVERTED, p + 1)
+            growth = zero
+        m_d = setup.mass * log_of_one_plus(growth)
         spin = half * vec3(ly[2] - lz[1], lz[0] - lx[2], lx[1] - ly[0])
-        old = sigma[p]
+        old = tau[p]
         s = rotate(old, spin)
-        dilation = lx[0] + ly[1] + lz[2]
         g2 = two * material.shear
-        even = third * dilation
-        old_mean = third * (old[0] + old[1] + old[2])
-        mean_trial = old_mean + material.bulk * dilation
-        deviator = vec6(
-            s[0] - old_mean + g2 * (lx[0] - even),
-            s[1] - old_mean + g2 * (ly[1] - even),
-            s[2] - old_mean + g2 * (lz[2] - even),
+        even = g2 * third * trace + third * (old[0] + old[1] + old[2])
+        tau[p] = vec6(
+            s[0] + g2 * lx[0] - even,
+            s[1] + g2 * ly[1] - even,
+            s[2] + g2 * lz[2] - even,
             s[3] + material.shear * (ly[2] + lz[1]),
             s[4] + material.shear * (lx[2] + lz[0]),
             s[5] + material.shear * (lx[1] + ly[0]),
         )
-        j2 = second_invariant(deviator)
-        open_old = zero
-        if material.apex_memory > 0:
-            open_old = opening[p]
-        mean_new, scale, open_new, d_eps, work = return_map(mean_trial, wp.sqrt(j2), open_old, material)
-        s = scale * deviator
-        s[0] = s[0] + mean_new
-        s[1] = s[1] + mean_new
-        s[2] = s[2] + mean_new
-        sigma[p] = s
-        if material.apex_memory > 0:
-            opening[p] = open_new
-        if d_eps > zero:
-            eps_p_eqv[p] = eps_p_eqv[p] + d_eps
-            wp.atomic_add(ledger, WORK_PLASTIC, p & (ledger.shape[1] - 1), float64(work * volume[p]))
+        for a in range(3):
+            for b in range(3):
+                wxy = sx[a] * sy[b]
+                if wxy > zero:
+                    n = node_of(pencils, i + a, j + b, k)
+                    for c in range(3):
+                        wp.atomic_add(node_dilation, n + c, m_d * wxy * sz[c])
+
+    @wp.kernel(module=name)
+    def apply_node_law(
+        material: Material,
+        clock: wp.array(dtype=float64),
+        node_velocity: wp.array(dtype=vec4),
+        node_dilation: wp.array(dtype=real),
+        node_force: wp.array(dtype=vec4),
+    ):
+        """Pressure law at the nodes: (d, tau_m, gap, 0) into `node_force`, which holds m theta before the step.
+
+        theta of the nodes takes its last increment as it is, where theta of the points takes the average of the
+        averages: equal but for one increment, and one scatter less.
+        """
+        if clock[DT] == float64(0.0):
+            return
+        n = wp.tid()
+        m = node_velocity[n][0]
+        if m > zero:
+            d = node_dilation[n] / m
+            theta = node_force[n][3] / m + d
+            node_force[n] = vec4(d, node_law(theta, material), wp.max(theta - material.opens_at, zero), zero)
+
+    @wp.kernel(module=name)
+    def update_stress(
+        setup: Setup,
+        material: Material,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        node_law_values: wp.array(dtype=vec4),
+        carry: wp.array(dtype=vec3),
+        x: wp.array(dtype=vec3),
+        tau: wp.array(dtype=vec6),
+        theta: wp.array(dtype=real),
+        dilated: wp.array(dtype=real),
+        eps_p_eqv: wp.array(dtype=real),
+        ledger: wp.array2d(dtype=float64),
+    ):
+        """Mean stress from the nodes, trial deviator returned to the cone; then the point moves."""
+        dt = real(clock[DT])
+        if dt == zero:
+            return
+        p = wp.tid()
+        xp = x[p]
+        i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(xp, setup.inv_cell)
+        given = vec4(zero, zero, zero, zero)
+        for a in range(3):
+            for b in range(3):
+                n = node_of(pencils, i + a, j + b, k)
+                given = add_scaled(sx[a] * sy[b], gather(node_law_values, n, sz), given)
+        grown = theta[p] + given[0]
+        mean = given[1]
+        s = tau[p]
+        if material.plastic > 0:
+            root_j2 = wp.sqrt(second_invariant(s))
+            mean, scale, dilation, d_eps, work = return_map(given[1], given[2], root_j2, material)
+            s = scale * s
+            if d_eps > zero:
+                eps_p_eqv[p] = eps_p_eqv[p] + d_eps
+                wp.atomic_add(ledger, WORK_PLASTIC, p & (ledger.shape[1] - 1), float64(work) * float64(setup.volume))
+            if dilation > zero:
+                grown = grown - dilation
+                dilated[p] = dilated[p] + dilation
+        theta[p] = grown
+        s[0] = s[0] + mean
+        s[1] = s[1] + mean
+        s[2] = s[2] + mean
+        tau[p] = s
         x[p] = xp + dt * carry[p]
 
     return SimpleNamespace(
+        strain_points=strain_points,
+        apply_node_law=apply_node_law,
         update_stress=update_stress,
     )

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from explicit.kernels.lanes import lanes
-from explicit.kernels.layout import CARRIED, DT, GRAVITY, NOT_FINITE, TOO_FAST, layout
+from explicit.kernels.layout import CARRIED, DT, GRAVITY, NOT_FINITE, TOO_FAST, WORK_DECAY, layout
 from mpm.gimp import gimp
 
 
@@ -27,8 +27,8 @@ def transfer_kernels(real):
     node_of = types.node_of
     float64 = wp.float64
     stencil, reached = gimp(real).stencil, gimp(real).reached
-    scaled, add_scaled, gather = lanes(real).scaled, lanes(real).add_scaled, lanes(real).gather
-    zero, half = wp.constant(real(0.0)), wp.constant(real(0.5))
+    scaled, add_scaled, gather, add = (getattr(lanes(real), name) for name in ("scaled", "add_scaled", "gather", "add"))
+    zero, half, one = (wp.constant(real(value)) for value in (0.0, 0.5, 1.0))
 
     @wp.kernel(module=name)
     def p2g(
@@ -37,11 +37,12 @@ def transfer_kernels(real):
         clock: wp.array(dtype=float64),
         x: wp.array(dtype=vec3),
         v: wp.array(dtype=vec3),
-        sigma: wp.array(dtype=vec6),
-        volume: wp.array(dtype=real),
+        tau: wp.array(dtype=vec6),
+        theta: wp.array(dtype=real),
         node_momentum: wp.array(dtype=vec4),
         node_force: wp.array(dtype=vec4),
     ):
+        """Mass and momentum; force -V0 tau grad N - N m g e_z, and mass times volume strain beside it."""
         if clock[DT] == float64(0.0):
             return
         p = wp.tid()
@@ -50,11 +51,11 @@ def transfer_kernels(real):
         m = setup.mass
         vp = v[p]
         carried = vec4(m, m * vp[0], m * vp[1], m * vp[2])
-        s = -volume[p] * sigma[p]
+        s = -setup.volume * tau[p]
         force_x = vec4(s[0], s[5], s[4], zero)
         force_y = vec4(s[5], s[1], s[3], zero)
         force_z = vec4(s[4], s[3], s[2], zero)
-        weight = vec4(zero, zero, -m * real(clock[GRAVITY]), zero)
+        weight = vec4(zero, zero, -m * real(clock[GRAVITY]), m * theta[p])
         for a in range(reached(sx)):
             for b in range(reached(sy)):
                 wxy = sx[a] * sy[b]
@@ -63,8 +64,8 @@ def transfer_kernels(real):
                 load = scaled(wxy, carried)
                 n = node_of(pencils, i + a, j + b, k)
                 for c in range(3):
-                    wp.atomic_add(node_momentum, n + c, scaled(sz[c], load))
-                    wp.atomic_add(node_force, n + c, add_scaled(sz[c], flat, scaled(dz[c], steep)))
+                    add(node_momentum, n + c, scaled(sz[c], load))
+                    add(node_force, n + c, add_scaled(sz[c], flat, scaled(dz[c], steep)))
 
     @wp.kernel(module=name)
     def g2p2g(
@@ -77,6 +78,7 @@ def transfer_kernels(real):
         node_velocity: wp.array(dtype=vec4),
         node_increment: wp.array(dtype=vec4),
         node_mapped: wp.array(dtype=vec4),
+        ledger: wp.array2d(dtype=float64),
         speed: wp.array(dtype=real),
         fault: wp.array(dtype=wp.int32),
     ):
@@ -96,9 +98,16 @@ def transfer_kernels(real):
                 gained = add_scaled(wxy, gather(node_increment, n, sz), gained)
         vp = v[p] + vec3(gained[0], gained[1], gained[2])
         carried = vec3(moved[1], moved[2], moved[3])
+        m = setup.mass
+        if setup.decay > zero:
+            # On what the grid does not see of v no force ever acts: without a decay points shake for ever and a heap
+            # creeps.
+            lost = wp.min(setup.decay * real(clock[DT]), one) * (vp - carried)
+            work = m * (wp.dot(vp, lost) - half * wp.dot(lost, lost))
+            wp.atomic_add(ledger, WORK_DECAY, p & (ledger.shape[1] - 1), float64(work))
+            vp = vp - lost
         v[p] = vp
         carry[p] = carried
-        m = setup.mass
         mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
         for a in range(3):
             for b in range(3):
@@ -107,7 +116,7 @@ def transfer_kernels(real):
                     load = scaled(wxy, mv)
                     n = node_of(pencils, i + a, j + b, k)
                     for c in range(3):
-                        wp.atomic_add(node_mapped, n + c, scaled(sz[c], load))
+                        add(node_mapped, n + c, scaled(sz[c], load))
         # Plain reads first: an atomic only when the point is faster than what is recorded.
         fastest = zero
         for axis in range(3):

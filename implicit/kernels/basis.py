@@ -98,3 +98,27 @@ def couple(
                             for f in range(count[2]):
                                 if nodes[p, 9 * d + 3 * e + f] != OUTSIDE:
                                     coupled[row, 25 * (d - a + 2) + 5 * (e - b + 2) + f - c + 2] = 1
+
+
+@wp.kernel(module=NAME)
+def weights_by_rows(
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    start: wp.array(dtype=wp.int32),
+    column: wp.array(dtype=wp.int32),
+    value: wp.array(dtype=real),
+):
+    """N in compressed rows, a row a point, from `start` on; nodes OUTSIDE leave a zero in column 0."""
+    p = wp.tid()
+    s, count = weight[p], reach[p]
+    sx, sy, sz = s[0], s[1], s[2]
+    at = start[p]
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                n = nodes[p, 9 * a + 3 * b + c]
+                if n > OUTSIDE:
+                    column[at] = n
+                    value[at] = sx[a] * sy[b] * sz[c]
+                at += 1

@@ -1,10 +1,11 @@
 """What a point feels of the nodes' displacement increment: finite strain, stress, consistent tangent.
 
 Multiplicative elastoplasticity with Hencky strain and Kirchhoff stress (Simo 1992; de Souza Neto, Peric and
-Owen 2008, ch. 14). The elastic left Cauchy-Green tensor is pushed by the increment, b_trial = F b F^T, its
-principal logarithmic strains are returned to the cone by `mpm.drucker_prager`, and the principal directions
-are kept. In them the derivative of the logarithm is written with (ln a - ln b)/(a - b), which has no
-singularity where principal stretches coincide.
+Owen 2008, ch. 14). The mean stress comes from the nodes (`implicit.volume`); the deviator is the point's own. Its
+isochoric elastic left Cauchy-Green tensor is pushed by the increment, b_trial = F b F^T, the deviator of the principal
+logarithmic strains is returned to the cone by `mpm.drucker_prager`, and the principal directions are kept. In them the
+derivative of the logarithm is written with (ln a - ln b)/(a - b), which has no singularity where principal stretches
+coincide.
 """
 
 import warp as wp
@@ -17,16 +18,18 @@ FIFTH, SEVENTH, SMALL = (wp.constant(real(value)) for value in (0.2, 1.0 / 7.0, 
 return_map, return_slopes = LAW.return_map, LAW.return_slopes
 
 
-@wp.func(module=NAME)
-def increment(
-    p: int,
+@wp.kernel(module=NAME)
+def deform(
     u: wp.array(dtype=vec3),
     nodes: wp.array2d(dtype=wp.int32),
     reach: wp.array(dtype=wp.vec3i),
     weight: wp.array(dtype=mat33),
     slope: wp.array(dtype=mat33),
+    deformation: wp.array(dtype=mat33),
+    det: wp.array(dtype=real),
 ):
-    """F = I + sum u (x) grad N of point `p`, gradients with respect to where the step started."""
+    """F = I + sum u (x) grad N and its determinant; gradients with respect to where the step started."""
+    p = wp.tid()
     s, ds, count = weight[p], slope[p], reach[p]
     sx, sy, sz = s[0], s[1], s[2]
     dx, dy, dz = ds[0], ds[1], ds[2]
@@ -42,7 +45,9 @@ def increment(
                     fx += (dx[a] * sy[b] * sz[c]) * un
                     fy += (sx[a] * dy[b] * sz[c]) * un
                     fz += (sx[a] * sy[b] * dz[c]) * un
-    return mat33(ONE + fx[0], fy[0], fz[0], fx[1], ONE + fy[1], fz[1], fx[2], fy[2], ONE + fz[2])
+    f = mat33(ONE + fx[0], fy[0], fz[0], fx[1], ONE + fy[1], fz[1], fx[2], fy[2], ONE + fz[2])
+    deformation[p] = f
+    det[p] = wp.determinant(f)
 
 
 @wp.func(module=NAME)
@@ -72,79 +77,73 @@ def log_quotient(a: real, b: real):
 
 
 @wp.func(module=NAME)
-def returned(strain: vec3, opening: real, viscous: real, material: Material):
-    """Trial invariants and deviator of Hencky strains, and what the return map makes of them.
+def returned(strain: vec3, nodal: real, gap: real, viscous: real, material: Material):
+    """Trial deviator of Hencky strains, and what the return map makes of it at the nodes' mean stress `nodal` [Pa].
 
     `viscous` is the share w of the trial deviator that stays, s = (1 - w) s_returned + w s_trial (Duvaut and Lions
     1972): an overstress in proportion to the step's plastic shear, gone at rest.
     """
-    volumetric = strain[0] + strain[1] + strain[2]
-    third = volumetric / THREE
+    third = (strain[0] + strain[1] + strain[2]) / THREE
     deviator = (TWO * material.shear) * (strain - vec3(third, third, third))
     root = wp.sqrt(HALF * wp.dot(deviator, deviator))
-    mean_trial = material.bulk * volumetric
-    mean, scale, opened, d_eps, _work = return_map(mean_trial, root, opening, material)
+    mean, scale, dilation, d_eps, _work = return_map(nodal, gap, root, material)
     scale = scale + viscous * (ONE - scale)
-    return mean_trial, root, deviator, mean, scale, opened, d_eps
+    return root, deviator, mean, scale, dilation, d_eps
 
 
 @wp.kernel(module=NAME)
 def stress_flux(
-    u: wp.array(dtype=vec3),
-    nodes: wp.array2d(dtype=wp.int32),
-    reach: wp.array(dtype=wp.vec3i),
-    weight: wp.array(dtype=mat33),
-    slope: wp.array(dtype=mat33),
+    deformation: wp.array(dtype=mat33),
     b_e: wp.array(dtype=mat33),
-    opening: wp.array(dtype=real),
+    nodal: wp.array(dtype=real),
+    gap: wp.array(dtype=real),
     material: Material,
     viscous: real,
     flux: wp.array(dtype=mat33),
-    smallest: wp.array(dtype=real),
 ):
-    """tau F^-T, whose product with a node's gradient is the nodal force per initial volume; `smallest` det F."""
+    """tau F^-T, whose product with a node's gradient is the nodal force per initial volume."""
     p = wp.tid()
-    f = increment(p, u, nodes, reach, weight, slope)
-    det = wp.determinant(f)
-    if det < smallest[0]:
-        smallest[0] = det
+    f = deformation[p]
     axes, _square, strain = principal(f, b_e[p])
-    opened = ZERO
-    if material.apex_memory > 0:
-        opened = opening[p]
-    _m, _r, deviator, mean, scale, _o, _d = returned(strain, opened, viscous, material)
+    _r, deviator, mean, scale, _d, _e = returned(strain, nodal[p], gap[p], viscous, material)
     tau = diagonal(axes, scale * deviator + vec3(mean, mean, mean))
     flux[p] = tau * wp.transpose(wp.inverse(f))
 
 
 @wp.kernel(module=NAME)
 def tangent_flux(
-    u: wp.array(dtype=vec3),
-    nodes: wp.array2d(dtype=wp.int32),
-    reach: wp.array(dtype=wp.vec3i),
-    weight: wp.array(dtype=mat33),
-    slope: wp.array(dtype=mat33),
+    deformation: wp.array(dtype=mat33),
     b_e: wp.array(dtype=mat33),
-    opening: wp.array(dtype=real),
+    nodal: wp.array(dtype=real),
+    gap: wp.array(dtype=real),
     material: Material,
     viscous: real,
     blend: real,
+    closed: wp.array(dtype=real),
+    own: real,
+    filled: wp.array(dtype=real),
     tangent: wp.array2d(dtype=mat33),
+    volumetric: wp.array(dtype=mat33),
 ):
     """d(tau F^-T)/dF as nine matrices: entry (i, k) of tangent[p, 3 j + l] is d flux_ij / dF_kl.
 
     In principal axes, with l = dF F^-1: d eps_ij = 1/2 f_ij (l_ij b_j + l_ji b_i), f_ij the quotient of
     logarithms; then dtau from the slopes of the return map, and the geometric part -tau l^T. `blend` [-] is a
     share of the elastic in place of the plastic modulus; 0 is the exact derivative.
+
+    The mean stress of the nodes is taken to follow the point's own volume strain, with the share `own` [-] of the bulk
+    modulus that its nodes have: K `closed` (points,), and K where dilatancy has filled the gap, which `filled` (1 or
+    0) then tells. `volumetric` is d flux over the nodes' mean stress, with which `implicit.volume` makes up for it.
     """
     p = wp.tid()
-    f = increment(p, u, nodes, reach, weight, slope)
+    f = deformation[p]
     axes, square, strain = principal(f, b_e[p])
-    opened = ZERO
-    if material.apex_memory > 0:
-        opened = opening[p]
-    mean_trial, root, deviator, mean, scale, _o, _d = returned(strain, opened, viscous, material)
-    mean_m, mean_r, root_m, root_r = return_slopes(mean_trial, root, opened, material)
+    root, deviator, mean, scale, _d, _e = returned(strain, nodal[p], gap[p], viscous, material)
+    mean_m, mean_g, mean_r, root_m, _g, root_r = return_slopes(nodal[p], gap[p], root, material)
+    fill = ZERO
+    if mean_g > ZERO:
+        fill = ONE
+    filled[p] = fill
     tau = scale * deviator + vec3(mean, mean, mean)
     root_m, root_r = (ONE - viscous) * root_m, (ONE - viscous) * root_r + viscous
     keep = ONE - blend
@@ -155,7 +154,10 @@ def tangent_flux(
         direction = deviator / root
     else:
         scale = root_r
-    g, k = material.shear, material.bulk
+    g = material.shear
+    k = own * material.bulk * (closed[p] + fill * (ONE - closed[p]))
+    back = wp.inverse(f)  # reference gradients: grad = F^-T grad_0
+    volumetric[p] = diagonal(axes, vec3(mean_m, mean_m, mean_m) + root_m * direction) * wp.transpose(back)
 
     # d tau_ii / d l_kk
     normal = mat33()
@@ -170,7 +172,6 @@ def tangent_flux(
     between = (scale * g) * vec3(
         log_quotient(square[1], square[2]), log_quotient(square[2], square[0]), log_quotient(square[0], square[1])
     )
-    back = wp.inverse(f)  # reference gradients: grad = F^-T grad_0
     to_reference = back * axes  # row j: reference axis j in principal axes
     for j0 in range(3):
         for l0 in range(3):
@@ -194,35 +195,70 @@ def tangent_flux(
 
 
 @wp.kernel(module=NAME)
+def volume_slopes(
+    nodes: wp.array2d(dtype=wp.int32),
+    reach: wp.array(dtype=wp.vec3i),
+    weight: wp.array(dtype=mat33),
+    slope: wp.array(dtype=mat33),
+    start: wp.array(dtype=wp.int32),
+    held: wp.array(dtype=vec3),
+    deformation: wp.array(dtype=mat33),
+    volumetric: wp.array(dtype=mat33),
+    strain: wp.array(dtype=vec3),
+    force: wp.array(dtype=vec3),
+):
+    """Rows of the points, from `start` on: d(ln det F)/du = F^-T grad_0 N and d flux over mean stress times grad_0 N.
+
+    Zero for components that walls hold (1 in `held`).
+    """
+    p = wp.tid()
+    s, ds, count = weight[p], slope[p], reach[p]
+    sx, sy, sz = s[0], s[1], s[2]
+    dx, dy, dz = ds[0], ds[1], ds[2]
+    back = wp.transpose(wp.inverse(deformation[p]))
+    push = volumetric[p]
+    at = start[p]
+    for a in range(count[0]):
+        for b in range(count[1]):
+            for c in range(count[2]):
+                n = nodes[p, 9 * a + 3 * b + c]
+                if n > OUTSIDE:
+                    gradient = vec3(dx[a] * sy[b] * sz[c], sx[a] * dy[b] * sz[c], sx[a] * sy[b] * dz[c])
+                    free = vec3(ONE, ONE, ONE) - held[n]
+                    strain[at] = wp.cw_mul(free, back * gradient)
+                    force[at] = wp.cw_mul(free, push * gradient)
+                at += 1
+
+
+@wp.kernel(module=NAME)
 def commit(
     u: wp.array(dtype=vec3),
     nodes: wp.array2d(dtype=wp.int32),
     reach: wp.array(dtype=wp.vec3i),
     weight: wp.array(dtype=mat33),
-    slope: wp.array(dtype=mat33),
+    deformation: wp.array(dtype=mat33),
+    b_e: wp.array(dtype=mat33),
+    nodal: wp.array(dtype=real),
+    gap: wp.array(dtype=real),
     material: Material,
     viscous: real,
     x: wp.array(dtype=vec3),
-    b_e: wp.array(dtype=mat33),
-    jacobian: wp.array(dtype=real),
-    opening: wp.array(dtype=real),
+    mean: wp.array(dtype=real),
+    theta: wp.array(dtype=real),
     eps_p_eqv: wp.array(dtype=real),
     moved: wp.array(dtype=vec3),
 ):
-    """Accept the increment: the point moves (`moved` [m]) and takes its returned elastic state."""
+    """Accept the increment: the point moves (`moved` [m]) and takes its returned elastic state.
+
+    Plastic dilation fills what `theta` has opened, or builds pressure.
+    """
     p = wp.tid()
-    f = increment(p, u, nodes, reach, weight, slope)
-    axes, _square, strain = principal(f, b_e[p])
-    opened = ZERO
-    if material.apex_memory > 0:
-        opened = opening[p]
-    _m, _r, deviator, mean, scale, opened, d_eps = returned(strain, opened, viscous, material)
-    third = mean / (THREE * material.bulk)
-    elastic = (scale / (TWO * material.shear)) * deviator + vec3(third, third, third)
-    b_e[p] = diagonal(axes, vec3(wp.exp(TWO * elastic[0]), wp.exp(TWO * elastic[1]), wp.exp(TWO * elastic[2])))
-    jacobian[p] = jacobian[p] * wp.determinant(f)
-    if material.apex_memory > 0:
-        opening[p] = opened
+    axes, _square, strain = principal(deformation[p], b_e[p])
+    _r, deviator, mean_p, scale, dilation, d_eps = returned(strain, nodal[p], gap[p], viscous, material)
+    elastic = (scale / material.shear) * deviator  # twice the Hencky strain
+    b_e[p] = diagonal(axes, vec3(wp.exp(elastic[0]), wp.exp(elastic[1]), wp.exp(elastic[2])))
+    mean[p] = mean_p
+    theta[p] = theta[p] - dilation
     if material.plastic > 0:
         eps_p_eqv[p] = eps_p_eqv[p] + d_eps
     s, count = weight[p], reach[p]
@@ -241,14 +277,14 @@ def commit(
 @wp.kernel(module=NAME)
 def cauchy(
     b_e: wp.array(dtype=mat33),
+    mean: wp.array(dtype=real),
     jacobian: wp.array(dtype=real),
     material: Material,
     sigma: wp.array(dtype=vec6),
 ):
-    """Cauchy stress [Pa] (xx, yy, zz, yz, xz, xy) of the elastic state."""
+    """Cauchy stress [Pa] (xx, yy, zz, yz, xz, xy): deviator of the elastic state, mean Kirchhoff stress `mean` [Pa]."""
     p = wp.tid()
     axes, _square, strain = principal(wp.identity(3, dtype=real), b_e[p])
-    volumetric = strain[0] + strain[1] + strain[2]
-    mean = (material.bulk - TWO * material.shear / THREE) * volumetric
-    s = diagonal(axes, (TWO * material.shear) * strain + vec3(mean, mean, mean)) / jacobian[p]
+    own = mean[p] - (TWO * material.shear / THREE) * (strain[0] + strain[1] + strain[2])
+    s = diagonal(axes, (TWO * material.shear) * strain + vec3(own, own, own)) / jacobian[p]
     sigma[p] = vec6(s[0, 0], s[1, 1], s[2, 2], s[1, 2], s[0, 2], s[0, 1])

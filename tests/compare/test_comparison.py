@@ -215,8 +215,8 @@ def test_a_grid_that_does_not_fit_twice_the_cell_is_compared_alone():
 
 
 def test_study_paper_judges_the_papers_claims(tmp_path, monkeypatch):
-    """Three cells per r0: a collapse to rest in a second, too coarse to agree with anything, and it says so."""
-    monkeypatch.setattr(study_paper, "QUICK_CELLS", 3)
+    """Four cells per r0: a collapse to rest in a second, too coarse to agree with anything, and it says so."""
+    monkeypatch.setattr(study_paper, "QUICK_CELLS", 4)
     monkeypatch.setattr(study_paper, "QUICK_IMPLICIT_CELLS", 3)
     folder = tmp_path / "out"
     asked = ("study", "paper", "--quick", "--lambda0", "0.5", "1", "--damping", "0.05", "0.4", "--out", folder)

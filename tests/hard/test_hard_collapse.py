@@ -1,6 +1,6 @@
 """Collapses that strain a solver: every finding of `compare.hard.collapse` keeps its limit."""
 
-from findings import assert_complete, assert_stable, each_case, each_finding, of_one_solver
+from findings import assert_complete, assert_misses_by, assert_stable, each_case, each_finding, each_miss, of_one_solver
 
 import compare.hard.collapse  # noqa: F401 (registers the cases)
 
@@ -9,6 +9,7 @@ FRICTION = (
     "largest rise of R from one phi to the next",
 )
 COARSE = [f"{cells} cells per r0: {what}" for cells in (2, 3, 4) for what in ("numbers not finite", "mass")]
+REFUSED = [f"{cells} cells per r0: stops without a reason" for cells in (2, 3)]  # their ledger misses 6 and 7 %
 SCATTER = "nu = {}: pressure scatter in a cell of a standing column, times that at 0.3"
 CHECKERBOARD = [SCATTER.format(nu) for nu in (0.49, 0.495)]
 INCOMPRESSIBLE = [f"nu = {nu}: R" for nu in (0.49, 0.495)]
@@ -28,13 +29,13 @@ ASKED = {
     ),
     "friction": ("explicit", FRICTION),
     "friction, implicit": ("implicit", FRICTION),
-    "near-incompressible": ("explicit", [*CHECKERBOARD, *INCOMPRESSIBLE, "nu = 0.49, no apex memory: R"]),
+    "near-incompressible": ("explicit", [*CHECKERBOARD, *INCOMPRESSIBLE]),
     "near-incompressible, damped": ("explicit", INCOMPRESSIBLE),
     "near-incompressible, implicit": ("implicit", CHECKERBOARD),
     "near-incompressible collapse, implicit": ("implicit", INCOMPRESSIBLE),
-    "coarse": ("explicit", COARSE),
+    "coarse": ("explicit", [*REFUSED, *COARSE[4:]]),
     "coarse, implicit": ("implicit", COARSE),
-    "precision": ("explicit", ["float32, 5 cells per r0: R", "equal runs: largest difference of x, v, sigma"]),
+    "precision": ("explicit", ["float32, 5 cells per r0: R", "equal runs: largest difference of x, v, tau"]),
     "precision, finer": ("explicit", ["float32, 8 cells per r0: R"]),
     "time step": ("explicit", ["cfl = 0.25: R", "cfl = 0.125: R"]),
     "time step, damped": ("explicit", ["cfl = 0.25: R", "cfl = 0.125: R"]),
@@ -49,17 +50,8 @@ ASKED = {
         ],
     ),
 }
-LOCKING = "eight points in a cell of first-order hexahedra cannot all keep their volume"
-MISSED = {  # what does not hold, with its figure
-    ("near-incompressible", SCATTER.format(0.49)): f"7.9 times: {LOCKING}",
-    ("near-incompressible", SCATTER.format(0.495)): f"8.3 times: {LOCKING}",
-    ("near-incompressible, implicit", SCATTER.format(0.49)): f"10.9 times: {LOCKING}",
-    ("near-incompressible, implicit", SCATTER.format(0.495)): f"10.9 times: {LOCKING}",
-    ("near-incompressible", "nu = 0.49: R"): "163 % farther: with apex memory 93 % of the points are open and bear no "
-    "friction, 72 % at nu = 0.3",
-    ("near-incompressible", "nu = 0.495: R"): "272 % farther, likewise",
-    ("symmetry", "turned by 45 degrees: R"): "4.0 % less: any column off the lattice, turned by 1 to 45 degrees or "
-    "shifted by 1/7 to 1/2 cell, ends 3 to 7 % before the one on it; at 8 cells the turned one ends 7 % after it",
+MISSED = {  # what does not hold: (figure, why)
+    ("symmetry", "turned by 45 degrees: R"): (0.0228, "5 cells per r0: a turned lattice has another rim and toe"),
 }
 EXPECTED, KNOWN = of_one_solver(ASKED, MISSED)
 
@@ -67,6 +59,11 @@ EXPECTED, KNOWN = of_one_solver(ASKED, MISSED)
 @each_finding(EXPECTED, KNOWN)
 def test_finding_keeps_its_limit(name, solver, what):
     assert_stable(name, solver, what)
+
+
+@each_miss(KNOWN)
+def test_a_miss_is_as_large_as_is_known(name, solver, what, figure):
+    assert_misses_by(name, solver, what, figure)
 
 
 @each_case(EXPECTED)

@@ -13,9 +13,12 @@ EXPECTED = {
         ("implicit", "a step of a thousand times its length"),
     ],
     "not a number": [
-        *(("explicit", f"NaN in {name} of a point") for name in ("x", "v", "sigma", "volume", "opening", "eps_p_eqv")),
+        *(("explicit", f"NaN in {name} of a point") for name in ("x", "v", "tau", "theta", "eps_p_eqv")),
         ("explicit", "NaN in v in the checkpoint"),
-        *(("implicit", f"NaN in {name} of a point") for name in ("x", "v", "b_e", "jacobian", "opening", "eps_p_eqv")),
+        *(
+            ("implicit", f"NaN in {name} of a point")
+            for name in ("x", "v", "b_e", "mean", "theta", "jacobian", "eps_p_eqv")
+        ),
         ("implicit", "NaN in b_e in the checkpoint"),
     ],
 }

@@ -13,7 +13,7 @@ pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not inst
 from implicit import newton
 from implicit.solver import STATIC_GHOST, ImplicitSolver
 
-YOUNG, LENGTH, LOAD, STEPS = 1e7, 8.0, 3.0, 30  # [Pa], over the height, P l^2/(E I), load steps
+YOUNG, LENGTH, LOAD, STEPS = 1e7, 8.0, 3.0, 60  # [Pa], over the height, P l^2/(E I), load steps
 
 
 def rod(length, load):
@@ -74,7 +74,7 @@ def cantilever(cells):
         },
         "grid": {"cell": cell},
         "material": {"model": "elastic", "young": YOUNG, "poisson": 0.0, "density": 1.0},
-        "implicit": {"initial_stress": "none"},
+        "loads": {"initial_stress": "none"},
     }
     solver = ImplicitSolver(build(parse_scene(table)))
     x0, length = solver.body.x.copy(), LENGTH - 0.25 * cell
@@ -101,10 +101,10 @@ def test_the_reference_is_the_elastica_for_a_slender_rod():
 
 
 def test_a_cantilever_turns_by_57_degrees(monkeypatch):
-    """2 and 4 cells over the height: the deflection errs by 2.3 and 1.4 %, the shortening by 7.2 and 3.8 %.
+    """2, 4 and 6 cells over the height: the deflection errs by 13, 4.9 and 2.9 %, the shortening by 37, 13 and 8 %.
 
-    The same with 6 and 8 cells, ten times as long as high: 1.2 and 1.0 %, 3.8 and 3.0 %: it converges from the
-    soft side, at nearly first order.
+    It converges from the soft side, faster than at first order. The volume strain of a bent section changes sign over
+    its height and a node averages it over two cells either way, so that few cells carry little of it.
     """
     monkeypatch.setattr(newton, "PRECONDITIONERS", ("lu",))  # sweeps hardly converge on something so slender
     errors = []
@@ -113,5 +113,5 @@ def test_a_cantilever_turns_by_57_degrees(monkeypatch):
         assert np.degrees(exact[0]) > 55.0 and np.degrees(found[0]) > 55.0
         errors.append(found / exact - 1.0)
     coarse, fine = np.array(errors)
-    assert np.abs(fine[2]) < 0.02 and np.abs(fine[1]) < 0.05 and np.abs(fine[0]) < 0.05, errors
-    assert np.all(np.abs(fine[1:]) < 0.7 * np.abs(coarse[1:])), errors
+    assert np.abs(fine[2]) < 0.055 and np.abs(fine[1]) < 0.14 and np.abs(fine[0]) < 0.085, errors
+    assert np.all(fine > 0.0) and np.all(fine < 0.45 * coarse), errors

@@ -6,12 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mpm.config import load_scene
+from mpm.config import load_scene, parse_scene
 from mpm.devices import start_warp
 from mpm.errors import SceneError
 from mpm.scene import build
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
+from implicit import newton
 from implicit.newton import solve
 from implicit.solver import STATIC_GHOST, ImplicitSolver
 
@@ -22,7 +23,7 @@ PAGE = os.sysconf("SC_PAGE_SIZE")
 def elastic_column(young):
     """System of an elastic column whose whole weight comes in one step, and the norm of that weight [N]."""
     start_warp()
-    changes = ["material.model=elastic", f"material.young={young}", "implicit.initial_stress=none", "grid.cell=0.25"]
+    changes = ["material.model=elastic", f"material.young={young}", "loads.initial_stress=none", "grid.cell=0.25"]
     solver = ImplicitSolver(build(load_scene("column_small", changes)))
     solver.state.load.numpy()[:, 2] = -solver.gravity * solver.state.mass
     system = solver._new_system()
@@ -46,6 +47,48 @@ def test_quadratic_convergence(young):
     assert len(orders) >= 1 and np.all(orders > 1.8), (residuals, orders)
     # and the balance is one of forces, whatever the solver says
     assert np.linalg.norm(system.residual(outcome.u)) < ROUND_OFF * weight
+
+
+def loaded_beam():
+    """System of a beam of 6 x 0.5 x 0.5 m that is held at one end, a twentieth of its weight on it, and that load."""
+    start_warp()
+    walls = {"x_min": "fixed", "z_min": "free"}
+    table = {
+        "name": "beam",
+        "geometry": {"shape": "box", "size": [6.0, 0.5, 0.5], "walls": walls},
+        "grid": {"cell": 0.125},
+        "material": {"model": "elastic", "young": 1e9, "poisson": 0.3, "density": 2000.0},
+        "loads": {"initial_stress": "none"},
+    }
+    solver = ImplicitSolver(build(parse_scene(table)))
+    solver.state.load.numpy()[:, 2] = -0.05 * solver.gravity * solver.state.mass
+    system = solver._new_system()
+    system.resist(ghost=STATIC_GHOST * solver.body.constants.shear * solver.cell)
+    return system, float(np.linalg.norm(system.load))
+
+
+@pytest.mark.parametrize(("most", "last"), [(300, "ilu"), (100, "lu")])
+def test_a_slender_beam_is_solved_by_the_next_preconditioner(monkeypatch, most, last):
+    """Sweeps do not converge in 300 iterations, ILU(1) needs some 220 and LU of the assembled rows 17.
+
+    Each hands over to the next, at the same solution as LU from the start.
+    """
+    system, weight = loaded_beam()
+    monkeypatch.setattr(newton, "MOST_LINEAR_ITERATIONS", most)
+    outcome = solve(system, 1e-9 * weight, 1e-6)
+    assert outcome.converged and outcome.preconditioner == last
+    monkeypatch.setattr(newton, "PRECONDITIONERS", ("lu",))
+    direct = solve(system, 1e-9 * weight, 1e-6)
+    assert direct.converged and direct.linear_iterations < 25 * direct.iterations
+    assert outcome.u == pytest.approx(direct.u, rel=1e-6, abs=1e-6 * np.abs(direct.u).max())
+
+
+def test_no_preconditioner_is_left(monkeypatch):
+    """The last one fails too: not converged, and no exception."""
+    system, weight = loaded_beam()
+    monkeypatch.setattr(newton, "MOST_LINEAR_ITERATIONS", 3)
+    outcome = solve(system, 1e-9 * weight, 1e-6)
+    assert not outcome.converged and outcome.preconditioner == "lu"
 
 
 def resident():

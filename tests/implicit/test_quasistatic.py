@@ -17,13 +17,9 @@ if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc
 from implicit.relaxation import Regularisation, Rest
 from implicit.solver import ImplicitSolver
 
-# R_995 at D = 0.4 of the explicit solver at the same 10 cells per r0 (`repose run column_L --set grid.cell=0.1
-# --set explicit.damping=0.4`, benchmarks/results/implicit_runs_cpu.csv).
-EXPLICIT = {0.5: 0.308, 1: 0.599, 2: 1.040}
 
-
-def collapse(scene, *settings, change=lambda x, cell: x, most=400, **regularisation):
-    """Run to rest; the solver and its run-outs, measured about where `change` moved the axis to."""
+def collapse(scene, *settings, change=lambda x, cell: x, most=400, steps=None, **regularisation):
+    """Run to rest, or for `steps`; the solver and its run-outs, measured about where `change` moved the axis to."""
     start_warp()
     scene = load_scene(scene, list(settings))
     seeds = seed(scene.geometry, scene.grid.cell)
@@ -34,7 +30,8 @@ def collapse(scene, *settings, change=lambda x, cell: x, most=400, **regularisat
     while solver.steps < most:
         solver.advance()
         measures = run_out(solver.x - axis, body.measure)
-        if rest(solver.time, measures["R_995"], solver.unbalanced_ratio):
+        rests = rest(solver.time, measures["R_995"], solver.unbalanced_ratio)
+        if rests if steps is None else solver.steps == steps:
             return solver, measures
     raise AssertionError(f"no rest after {most} steps, unbalanced ratio {solver.unbalanced_ratio:.2g}")
 
@@ -46,40 +43,55 @@ def small():
 
 
 def test_a_small_column_rests_near_eq4_without_a_failed_step(small):
-    """R_995 within 10 % of Eq. 4, the top at h0."""
+    """R_995 10 % beyond Eq. 4 on so few cells, the top at h0."""
     solver, measures = small
-    assert measures["R_995"] == pytest.approx(theory(solver.body.scene)["eq4"], rel=0.10)
+    assert 1.0 < measures["R_995"] / theory(solver.body.scene)["eq4"] < 1.13
     assert measures["h_inf"] == pytest.approx(0.5, abs=0.01)
     assert solver.failed_steps == 0
-    assert solver.unbalanced_ratio <= 1e-2
+    assert solver.unbalanced_ratio <= 5e-3
+
+
+def test_at_rest_the_front_does_not_climb():
+    """Another 4 sqrt(h0/g) in pseudo-time move it by less than 0.5 %."""
+    solver, measures = collapse("column_small")
+    end = solver.time + 4.0 * solver.body.time_scale
+    while solver.time < end:
+        solver.advance()
+    after = run_out(solver.x, solver.body.measure)["R_995"]
+    assert 0.0 <= after - measures["R_995"] < 0.005 * measures["R_995"]
+
+
+def test_the_deposit_keeps_its_volume(small):
+    """At psi = 0 sand neither swells nor packs: within 1 % (with the law at the points it gained 6 %)."""
+    solver, _ = small
+    assert abs(solver.state.jacobian.numpy().mean() - 1.0) < 0.01
 
 
 def test_stiffness_costs_nothing_and_hardly_moves_the_front(small):
-    """A hundred times stiffer. Followed with its own modulus it ends at R_995 = 0.299, after 5,738 Newton iterations
-    (benchmarks/results/implicit_runs_cpu.csv); softened, at 0.306 to 0.309 in five runs that differ in the tolerance
-    of the linear solves alone. The limit is the 3 % that softening does and the 1.5 % by which collapses scatter."""
+    """A hundred times stiffer, and softened for its collapse."""
     solver, measures = collapse("column_small", "material.young=5.84e8")
-    assert measures["R_995"] == pytest.approx(0.299, rel=0.045)
     assert measures["R_995"] == pytest.approx(small[1]["R_995"], rel=0.03)
     assert solver.newton_iterations < 2 * small[0].newton_iterations
-    assert solver.unbalanced_ratio <= 1e-2
+    assert solver.unbalanced_ratio <= 5e-3
 
 
 def test_only_a_cohesionless_collapse_is_softened():
-    """E = 600 rho g h0 at most, Poisson's ratio kept; what can stand keeps its own modulus."""
+    """K and G of E = 600 rho g h0, nu = 0.3 at most; what can stand keeps its own moduli."""
 
     def moduli(scene, *settings):
         body = build(load_scene(scene, list(settings)))
         return body.constants, Regularisation().softened(body).constants
 
-    given, used = moduli("column_small", "material.young=5.84e8")
+    _given, used = moduli("column_small", "material.young=5.84e8")
     young = 9.0 * used.bulk * used.shear / (3.0 * used.bulk + used.shear)
     assert young == pytest.approx(600 * 2000 * 9.81 * 0.5)
-    assert used.bulk / used.shear == pytest.approx(given.bulk / given.shear)
+    assert used.bulk / used.shear == pytest.approx(1.3 / 0.6)
+    given, used = moduli("column_small", "material.poisson=0.49")
+    assert used.bulk == pytest.approx(500 * 2000 * 9.81 * 0.5) and used.shear == given.shear
     for scene, *settings in (
         ("column_small",),
         ("column_small", "material.young=5.84e8", "material.cohesion=100.0"),
-        ("column_small", "material.young=5.84e8", "implicit.initial_stress=none"),
+        ("column_small", "material.young=5.84e8", "loads.initial_stress=none"),
         ("self_weight", "material.young=5.84e8"),
     ):
         given, used = moduli(scene, *settings)
@@ -94,27 +106,37 @@ def test_inertia_carries_the_front_farther(small):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lambda0", [0.5, 1, 2])
-def test_ten_cells_per_radius_agree_with_eq4_and_the_damped_explicit_runs(lambda0):
+def test_ten_cells_per_radius_agree_with_eq4(lambda0):
     solver, measures = collapse(f"column_{lambda0}", "grid.cell=0.1")
     assert measures["R_995"] == pytest.approx(theory(solver.body.scene)["eq4"], rel=0.10)
-    assert measures["R_995"] == pytest.approx(EXPLICIT[lambda0], rel=0.10)
     assert solver.failed_steps <= 0.05 * solver.steps
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("changed", [{"ghost": 0.2}, {"ghost": 0.8}, {"reach": 0.15}, {"cap": 1.5}], ids=str)
+@pytest.mark.parametrize("changed", [{"ghost": 0.2}, {"ghost": 0.8}, {"reach": 0.15}, {"cap": 6.0}], ids=str)
 def test_regularisation_moves_the_front_by_less_than_three_per_cent(changed):
     reference = collapse("column_0.5", "grid.cell=0.1")[1]["R_995"]
     assert collapse("column_0.5", "grid.cell=0.1", **changed)[1]["R_995"] == pytest.approx(reference, rel=0.03)
 
 
-@pytest.mark.parametrize("cohesion", [5000, 1000])
+@pytest.mark.parametrize("cohesion", [5000, 1300])
 def test_a_cohesive_column_stands(cohesion):
-    """Equilibrium within a handful of steps, and no collapse."""
+    """Equilibrium within a handful of steps, and no collapse.
+
+    A vertical cut of height h0 stands from c = rho g h0/(4 tan(45 deg + phi/2)) on, 1,210 Pa here (plane strain, plane
+    slip surface).
+    """
     solver, measures = collapse("column_small", f"material.cohesion={cohesion}", most=8)
     assert solver.steps <= 8
     assert np.abs(solver.x - solver.body.x).max() < 0.01
     assert measures["h_inf"] == pytest.approx(0.5, abs=1e-3)
+
+
+def test_a_column_of_too_little_cohesion_falls():
+    """c = 1,100 Pa, 9 % below what a vertical cut needs: not just a settlement."""
+    solver, measures = collapse("column_small", "material.cohesion=1100.0")
+    assert measures["R_995"] > 0.1
+    assert abs(solver.state.jacobian.numpy().mean() - 1.0) < 0.01
 
 
 @pytest.mark.parametrize(("angle", "low", "high"), [(20, 0.40, 0.70), (45, 0.20, 0.32)])
@@ -127,26 +149,37 @@ def test_friction_angles_at_both_ends(angle, low, high):
     assert low < measures["R_995"] < high
 
 
-@pytest.mark.slow
-def test_a_nearly_incompressible_column(small):
-    """nu = 0.49 costs Newton and the linear solver more, and ends at the same deposit within 5 %."""
-    measures = collapse("column_small", "material.poisson=0.49")[1]
-    assert measures["R_995"] == pytest.approx(small[1]["R_995"], rel=0.05)
+def test_no_step_of_a_nearly_incompressible_column_fails():
+    """The first 20 steps at nu = 0.49, in which it spreads most."""
+    start_warp()
+    solver = ImplicitSolver(build(load_scene("column_small", ["material.poisson=0.49"])))
+    for _ in range(20):
+        solver.advance()
+    assert solver.failed_steps == 0
+    assert solver.newton_iterations < 11 * solver.steps
 
 
-def test_a_grain_in_the_air_falls_and_rests():
+@pytest.mark.parametrize("poisson", [0.49, 0.499])
+def test_a_nearly_incompressible_column_rests_where_any_does(small, poisson):
+    """Its collapse is followed with K of at most 500 rho g h0, so that it takes no more iterations."""
+    solver, measures = collapse("column_small", f"material.poisson={poisson}")
+    assert solver.failed_steps == 0
+    assert solver.newton_iterations < 1.5 * small[0].newton_iterations
+    assert measures["R_995"] == pytest.approx(small[1]["R_995"], rel=0.03)
+
+
+def test_a_grain_in_the_air_falls_and_rests(small):
     solver, measures = collapse("column_small", change=lambda x, cell: np.vstack([x, [[0.3, 0.3, 1.0]]]))
     assert solver.x[-1, 2] < 0.8
-    assert measures["R_995"] == pytest.approx(theory(solver.body.scene)["eq4"], rel=0.10)
+    assert measures["R_995"] == pytest.approx(small[1]["R_995"], rel=0.02)
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=False, reason="measured at 8 cells per r0: R_995 0.313 against 0.307, 2.2 % instead of 1 %")
 def test_a_column_off_the_lattice_rests_at_the_same_place():
     """A full column shifted by a seventh of a cell along x and y.
 
     Not along z, where it would stand on a seventh of a cell of nothing: its lowest points already share the base's
-    nodes, so the gap never closes (the top stays as much higher, and R_995 is 0.336).
+    nodes, so the gap never closes, and it is a column as much taller.
     """
     whole = collapse("column_small", "geometry.symmetry=full")[1]["R_995"]
 

@@ -2,8 +2,8 @@
 
 Against the closed form, and against what another implicit material point code, AMPLE, gives for the same column, grids,
 load steps and error norm: sum |sigma_zz - sigma_a| V0/(rho g l0 sum V0), sigma_a = -rho g (l0 - Y). AMPLE's domains
-follow the stretch; those of Repose keep their length, as in the paper. With such a following basis in the place of
-its own, Repose gives AMPLE's figures; with its own the rest of the error is the basis'.
+follow the stretch; those of Repose keep their length, as in the paper. AMPLE's mean stress is that of the points;
+averaged at the nodes it errs less.
 """
 
 import numpy as np
@@ -66,8 +66,8 @@ def compacted(cells, young, following=False):
         "geometry": {"shape": "box", "size": [cell, cell, HEIGHT], "walls": sides},
         "grid": {"cell": cell},
         "material": {"model": "elastic", "young": young, "poisson": 0.0, "density": DENSITY},
-        "loads": {"gravity": GRAVITY},
-        "implicit": {"initial_stress": "none", "load_steps": LOAD_STEPS[young]},
+        "loads": {"gravity": GRAVITY, "initial_stress": "none"},
+        "implicit": {"load_steps": LOAD_STEPS[young]},
     }
     solver = implicit_solver.ImplicitSolver(build(parse_scene(table)))
     if following:
@@ -84,26 +84,28 @@ def compacted(cells, young, following=False):
 
 
 @pytest.mark.parametrize("young", [STIFF, SOFT], ids=["1MPa", "10kPa"])
-def test_with_domains_that_follow_the_stretch_the_errors_are_those_of_ample(young, monkeypatch):
-    """To AMPLE's four digits, on all five grids, without ghost springs (AMPLE has none)."""
+def test_with_domains_that_follow_the_stretch_the_errors_are_below_those_of_ample(young, monkeypatch):
+    """0.65 to 0.75 of AMPLE's on all five grids, without ghost springs (AMPLE has none): same rates, less scatter.
+
+    With the law at the points it is 1.000 of them.
+    """
     monkeypatch.setattr(implicit_solver, "STATIC_GHOST", 0.0)
     errors = {cells: compacted(cells, young, following=True)[0] for cells in CELLS}
-    assert errors == pytest.approx(AMPLE[young], rel=5e-4)
+    ratios = [errors[cells] / AMPLE[young][cells] for cells in CELLS]
+    assert min(ratios) > 0.6 and max(ratios) < 0.77, ratios
 
 
 def test_stiff_column():
-    """Error within 1.2 of AMPLE's up to 32 cells; height within 0.2 %; first order at least.
+    """Error 0.69 to 0.76 of AMPLE's up to 32 cells, 0.99 at 64; height within 0.01 %; first order at least.
 
-    At 64 cells it is 1.30 of AMPLE's (1.045e-3), bounded here by 1.35: domains that keep their length overlap by what
-    the column is compressed by, and where the settlement, 0.96 m = 1.2 cells, carries such an overlap across a node,
-    the stress of two points errs by 0.9 % of rho g l0. Ghost springs and load steps do not matter (1.31 without
-    springs, 1.30 with 40 steps); with domains that follow the stretch it is 1.00, as the test above shows.
+    At 64 cells domains that keep their length overlap by what the column is compressed by, and the settlement, 0.96 m
+    = 1.2 cells, carries such an overlap across a node.
     """
     errors, heights = zip(*(compacted(cells, STIFF)[:2] for cells in CELLS), strict=True)
     ratios = np.array(errors) / np.array([*AMPLE[STIFF].values()])
-    assert np.all(ratios[:-1] <= 1.2), ratios
-    assert ratios[-1] <= 1.35
-    assert np.abs(heights).max() < 2e-3
+    assert np.all(ratios[:-1] <= 0.8), ratios
+    assert ratios[-1] <= 1.05
+    assert np.abs(heights).max() < 1e-4
     rates = np.log2(np.array(errors[:-1]) / errors[1:])
     assert np.all(rates > 1.1), rates
 
@@ -111,19 +113,29 @@ def test_stiff_column():
 def test_soft_column():
     """Full gravity is reached, in the steps asked for, and the height converges.
 
-    Domains of fixed length on a column of half its height overlap twofold at the base: the stress errs by 11 % of
-    rho g l0 on 4 cells and 1.3 % on 64 (31 % at the lowest point of each), where AMPLE's errs by 0.04 %. The height,
-    an integral, stays good: 0.7 % too high on 4 cells, 0.3 % on 8, then 0.1 %; on 64 cells that grows with the number
-    of load steps, as each adds its noise (0.04 % in 20, 0.3 % in 80, 0.6 % in 160).
+    Domains of fixed length on a column of half its height overlap twofold at the base: the stress errs by 4.9 % of
+    rho g l0 on 4 cells and 0.6 % on 64, where AMPLE's errs by 0.04 %. The height, an integral, stays good: 0.2 % too
+    low on 4 cells, then 0.1 % too high; on 64 cells that grows with the number of load steps (0.03 % in 20, 0.3 % in
+    80, 0.7 % in 160).
     """
     errors, heights = zip(*(compacted(cells, SOFT)[:2] for cells in CELLS), strict=True)
-    assert np.all(np.diff(errors) < 0.0) and errors[0] < 0.12 and errors[-1] < 0.014, errors
-    assert np.all(np.abs(heights) < [8e-3, 3e-3, 1.5e-3, 1.5e-3, 1.5e-3]), heights
+    assert np.all(np.diff(errors) < 0.0) and errors[0] < 0.055 and errors[-1] < 0.007, errors
+    assert np.all(np.abs(heights) < [3e-3, 1e-3, 1.2e-3, 1.5e-3, 1.5e-3]), heights
 
 
 def test_nothing_happens_sideways():
-    """nu = 0: no lateral stress, no lateral motion, to round-off of the vertical ones."""
-    _, _, solver = compacted(8, STIFF)
-    sigma = solver.state.sigma(solver.material)
-    assert np.abs(sigma[:, [0, 1, 3, 4, 5]]).max() < 1e-9 * np.abs(sigma[:, 2]).max()
-    assert np.abs(solver.x - solver.body.x)[:, :2].max() < 1e-12 * HEIGHT
+    """nu = 0: no shear stress, no lateral motion, to round-off of the vertical ones.
+
+    Lateral stress is K times what the nodes' volume strain differs from the point's own by: 2.6 % of the vertical
+    stress at the base on 8 cells, half on 16.
+    """
+    lateral = []
+    for cells in (8, 16):
+        _, _, solver = compacted(cells, STIFF)
+        sigma = solver.state.sigma(solver.material)
+        vertical = np.abs(sigma[:, 2]).max()
+        assert np.abs(sigma[:, 3:]).max() < 1e-9 * vertical
+        assert np.abs(sigma[:, 0] - sigma[:, 1]).max() < 1e-9 * vertical
+        assert np.abs(solver.x - solver.body.x)[:, :2].max() < 1e-12 * HEIGHT
+        lateral.append(np.abs(sigma[:, 0]).max() / vertical)
+    assert lateral[0] < 0.03 and lateral[1] < 0.55 * lateral[0]

@@ -167,6 +167,7 @@ REFUSED = [
     (COLUMN, "explicit.until=true", ["explicit.until = True", "must be 'rest' or a number > 0", "[s]"]),
     # not one of the words
     (COLUMN, "material.cone=round", ["material.cone = 'round'", "'inner', 'outer' or 'plane_strain'"]),
+    (COLUMN, "loads.initial_stress=K0", ["loads.initial_stress = 'K0'", "'geostatic' or 'none'"]),
     (COLUMN, "geometry.symmetry=third", ["geometry.symmetry = 'third'", "'quarter', 'half' or 'full'"]),
     (COLUMN, "geometry.shape=cube", ["geometry.shape", "'column', 'box' or 'mesh'"]),
     (COLUMN, 'output.fields=["speed"]', ["output.fields.0 = 'speed'", "'velocity'", "'pressure'"]),
@@ -177,9 +178,25 @@ REFUSED = [
     (COLUMN, "explicit.dampng=0.1", ["explicit.dampng: unknown key", "did you mean 'damping'?"]),
     (COLUMN, "explict.damping=0.1", ["explict: unknown key", "did you mean 'explicit'?"]),
     (COLUMN, "geometry.height=1.0", ["geometry.height: unknown key", "known here: ", "aspect_ratio"]),
-    (COLUMN, "explicit.cell=0.1", ["explicit.cell: unknown key", "it belongs in [grid]"]),
-    (COLUMN, "gravity=1.62", ["gravity: unknown key", "it belongs in [loads]"]),
+    (COLUMN, "explicit.cell=0.1", ["explicit.cell: unknown key", "it belongs in [grid], as grid.cell"]),
+    (COLUMN, "gravity=1.62", ["gravity: unknown key", "it belongs in [loads], as loads.gravity"]),
+    (
+        COLUMN,
+        "implicit.initial_stress=none",
+        ["implicit.initial_stress: unknown key", "it belongs in [loads], as loads.initial_stress"],
+    ),
     (BOX, "geometry.walls.x_mn=free", ["geometry.walls.x_mn: unknown key", "did you mean 'x_min'?"]),
+    # keys of earlier versions
+    (
+        COLUMN,
+        "material.apex_memory=true",
+        ["material.apex_memory: no longer a key, delete it", "opens", "always closes before"],
+    ),
+    (
+        COLUMN,
+        "explicit.pressure_averaging=false",
+        ["explicit.pressure_averaging: no longer a key, delete it", "always averaged"],
+    ),
     # several keys read together
     (COLUMN, "grid.cell=0.6", ["grid.cell = 0.6", "larger than the column", "height", "0.5 [m]"]),
     (COLUMN, "grid.cell=1e-5", ["grid.cell = 1e-05", "3e+15 points", "is it in [m]?"]),
@@ -407,7 +424,7 @@ def test_a_resolved_preset_parses_back_to_itself(name):
     [
         ["explicit.until=0.5", "explicit.time_step=1e-4", "output.history_every=0.01", "output.fields=[]"],
         ["material.model=elastic"],  # the default fields are then without eps_p_eqv, and must stay so
-        ["geometry.symmetry=full", "explicit.precision=float32", "explicit.pressure_averaging=true"],
+        ["geometry.symmetry=full", "explicit.precision=float32", "loads.initial_stress=geostatic"],
     ],
 )
 def test_a_resolved_scene_parses_back_to_itself(overrides):
@@ -418,6 +435,19 @@ def test_a_resolved_scene_parses_back_to_itself(overrides):
 def test_elastic_scenes_store_no_plastic_strain_by_default():
     assert "eps_p_eqv" in load_scene(COLUMN).output.fields
     assert "eps_p_eqv" not in load_scene(COLUMN, ["material.model=elastic"]).output.fields
+
+
+def test_initial_stress_is_left_to_the_solver_unless_given():
+    """Default None: geostatic in implicit mode, none in explicit mode. The self-weight block settles from no stress."""
+    assert load_scene(COLUMN).loads.initial_stress is None
+    assert load_scene(COLUMN, ["loads.initial_stress=geostatic"]).loads.initial_stress == "geostatic"
+    assert load_scene("self_weight").loads.initial_stress == "none"
+
+
+@pytest.mark.parametrize("name", sorted(config.RETIRED))
+def test_a_retired_key_is_no_key(name):
+    section, key = name.split(".")
+    assert key not in Scene.model_fields[section].annotation.model_fields
 
 
 def test_a_scene_cannot_be_changed():

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mpm.config import load_scene, parse_scene, preset_names, read_scene_file
+from mpm.config import RETIRED, load_scene, parse_scene, preset_names, read_scene_file
 from mpm.errors import SceneError
 from mpm.lattice import walls_of
 
@@ -23,6 +23,7 @@ KEYS = sorted(
         for key in keys
     }
     | {"name", "geometry", "grid", "material", "loads", "geometry.walls.x_min", "geometry.file", "nonsense"}
+    | set(RETIRED)
 )
 
 # Values that have broken parsers before, among random ones.
@@ -55,7 +56,8 @@ def answer(parse, *arguments):
         return None
     # What a run derives from the scene first must work too.
     assert all(low <= high for low, high in zip(walls_of(scene).low, walls_of(scene).high, strict=True))
-    assert not math.isnan(scene.material.constants().eta)
+    constants = scene.material.constants()
+    assert not any(map(math.isnan, (constants.eta, constants.xi, constants.opens_at)))
     return scene
 
 
@@ -74,6 +76,11 @@ def mutated_texts(draw):
 @pytest.fixture(scope="module")
 def scene_file(tmp_path_factory):
     return tmp_path_factory.mktemp("fuzz") / "scene.toml"
+
+
+@pytest.mark.parametrize("tiny", ["material.young=5e-324", "material.friction_angle=5e-324"])
+def test_moduli_and_slopes_that_underflow(tiny):
+    assert answer(load_scene, "column_small", ["material.poisson=0", "material.cohesion=1", tiny]) is not None
 
 
 @FUZZ

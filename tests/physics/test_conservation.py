@@ -21,7 +21,7 @@ def test_free_body_keeps_its_momentum(solver_of, run_to):
     list(run_to(solver, 0.3))
     after = solver.v.numpy().sum(axis=0)
     assert solver.steps > 300
-    assert np.abs(solver.sigma.numpy()).max() > 1e3  # the block did deform
+    assert np.abs(solver.sigma).max() > 1e3  # the block did deform
     assert np.all(np.abs(after - before) < 1e-12 * solver.points)
 
 
@@ -38,7 +38,7 @@ def test_stress_free_block_crosses_cells_without_stress(solver_of, run_to):
     solver.v.assign(np.tile(speed, (solver.points, 1)))
     list(run_to(solver, 0.125))
     assert np.abs(solver.v.numpy() - speed).max() < 1e-12
-    assert np.abs(solver.sigma.numpy()).max() < 1e-10 * 5.84e6
+    assert np.abs(solver.sigma).max() < 1e-10 * 5.84e6
     assert np.abs(solver.x.numpy() - solver.body.x - 0.125 * speed).max() < 1e-12
 
 

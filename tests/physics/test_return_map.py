@@ -1,302 +1,305 @@
-"""Drucker-Prager: cone constants against tabulated values, the return map against closed forms."""
+"""The Drucker-Prager law in its two invariants against closed forms: the nodes' pressure law and the return map."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 import warp as wp
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from mpm.devices import start_warp
-from mpm.drucker_prager import Constants, cone_slope, cone_strength, drucker_prager
+from compare.hard.law import LAW, SAND, return_map
+from mpm.config import Material
+from mpm.devices import KERNEL_OPTIONS, start_warp
 
 start_warp()
-LAW = drucker_prager(wp.float64)
-VEC5, VEC4 = wp.types.vector(5, wp.float64), wp.types.vector(4, wp.float64)
-BULK, SHEAR, PHI = 4.8667e6, 2.2462e6, 37.55
+MODULE = "repose_test_law"
+VEC6 = wp.types.vector(6, wp.float64)
+wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(MODULE))
 
 
-@wp.kernel(module="repose_float64")
-def returned(
-    mean: wp.array(dtype=wp.float64),
-    root: wp.array(dtype=wp.float64),
-    opening: wp.array(dtype=wp.float64),
-    material: LAW.Material,
-    out: wp.array(dtype=VEC5),
-):
-    p = wp.tid()
-    m, scale, opened, d_eps, work = LAW.return_map(mean[p], root[p], opening[p], material)
-    out[p] = VEC5(m, scale, d_eps, work, opened)
-
-
-@wp.kernel(module="repose_float64")
+@wp.kernel(module=MODULE)
 def sloped(
-    mean: wp.array(dtype=wp.float64),
-    root: wp.array(dtype=wp.float64),
-    opening: wp.array(dtype=wp.float64),
+    sigma_m: wp.array(dtype=wp.float64),
+    gap: wp.array(dtype=wp.float64),
+    root_j2: wp.array(dtype=wp.float64),
     material: LAW.Material,
-    out: wp.array(dtype=VEC4),
+    out: wp.array(dtype=VEC6),
 ):
     p = wp.tid()
-    mean_m, mean_r, root_m, root_r = LAW.return_slopes(mean[p], root[p], opening[p], material)
-    out[p] = VEC4(mean_m, mean_r, root_m, root_r)
+    mean_m, mean_g, mean_r, root_m, root_g, root_r = LAW.return_slopes(sigma_m[p], gap[p], root_j2[p], material)
+    out[p] = VEC6(mean_m, mean_g, mean_r, root_m, root_g, root_r)
 
 
-def material(phi=PHI, psi=0.0, cohesion=0.0, cone="inner", bulk=BULK, shear=SHEAR):
-    slopes = cone_slope(phi, cone), cone_slope(psi, cone)
-    return Constants(bulk, shear, *slopes, cone_strength(cohesion, phi, cone), 2000.0, True, True)
+@wp.kernel(module=MODULE)
+def borne(theta: wp.array(dtype=wp.float64), material: LAW.Material, sigma: wp.array(dtype=wp.float64)):
+    i = wp.tid()
+    sigma[i] = LAW.node_law(theta[i], material)
 
 
-def return_map(mean, root, constants, opening=0.0):
-    """(sigma_m, sqrt(J2), d_eps, work, opening) after the return."""
-    mean, root, opening = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, float)) for a in (mean, root, opening)))
-    out = wp.zeros(len(mean), dtype=VEC5, device="cpu")
-    inputs = [wp.array(a, dtype=wp.float64, device="cpu") for a in (mean, root, opening)]
-    wp.launch(returned, len(mean), inputs=[*inputs, LAW.pack(constants), out], device="cpu")
-    m, scale, d_eps, work, opened = out.numpy().T
-    return m, scale * root, d_eps, work, opened
+def on_device(values):
+    return wp.array(np.asarray(values, float), dtype=wp.float64, device="cpu")
 
 
-def return_slopes(mean, root, constants, opening):
-    """d mean/d sigma_m, d mean/d sqrt(J2), and the same of the returned sqrt(J2), as rows."""
-    out = wp.zeros(len(mean), dtype=VEC4, device="cpu")
-    inputs = [wp.array(a, dtype=wp.float64, device="cpu") for a in (mean, root, opening)]
-    wp.launch(sloped, len(mean), inputs=[*inputs, LAW.pack(constants), out], device="cpu")
+def return_slopes(sigma_m, gap, root_j2, constants):
+    """(6, n): derivatives of the returned mean stress, then of the returned sqrt(J2), over sigma_m, K gap, root_j2."""
+    out = wp.zeros(len(sigma_m), dtype=VEC6, device="cpu")
+    inputs = [*map(on_device, (sigma_m, gap, root_j2)), LAW.pack(constants), out]
+    wp.launch(sloped, len(sigma_m), inputs=inputs, device="cpu")
     return out.numpy().T
 
 
-@pytest.mark.parametrize(("cone", "eta"), [("inner", 0.5849), ("outer", 0.8831), ("plane_strain", 0.5749)])
-def test_cone_slopes_for_the_papers_sand(cone, eta):
-    assert cone_slope(PHI, cone) == pytest.approx(eta, abs=1e-4)
+def node_law(theta, constants):
+    """Mean stress [Pa] of nodes at volume strain `theta` (n,) [-]."""
+    sigma = wp.zeros(len(theta), dtype=wp.float64, device="cpu")
+    wp.launch(borne, len(theta), inputs=[on_device(theta), LAW.pack(constants), sigma], device="cpu")
+    return sigma.numpy()
 
 
-def test_cohesive_strength_of_each_cone():
-    """xi/eta = c cot(phi) for every cone: all share the Mohr-Coulomb apex."""
-    for cone in ("inner", "outer", "plane_strain"):
-        apex = cone_strength(1e4, 30.0, cone) / cone_slope(30.0, cone)
-        assert apex == pytest.approx(1e4 / math.tan(math.radians(30.0)), rel=1e-12)
+def sand(psi=0.0, cohesion=0.0, **changes):
+    """Constants of the paper's sand with another dilatancy angle [degrees], cohesion [Pa] or key of a scene file."""
+    return Material(**(SAND | {"dilatancy_angle": psi, "cohesion": cohesion} | changes)).constants()
 
 
-@pytest.mark.parametrize(("cone", "ratio"), [("inner", 2.5297), ("outer", 4.1210)])
-def test_triaxial_compression_ends_at_the_closed_form(cone, ratio):
-    """Axial strain in small steps at constant cell pressure ends at sigma_1/sigma_3 = (sqrt3+2eta)/(sqrt3-eta)."""
-    constants = material(cone=cone)
-    cell_pressure = -100e3
-    # Stress state (axial, lateral); each step prescribes the axial strain and finds the lateral one.
-    axial = lateral = cell_pressure
-    step = -1e-3
-    for _ in range(200):
-
-        def lateral_stress(lateral_strain, axial=axial, lateral=lateral):
-            dilation = step + 2 * lateral_strain
-            mean = (axial + 2 * lateral) / 3 + BULK * dilation
-            deviator = 2 * (axial - lateral) / 3 + 2 * SHEAR * (step - dilation / 3)  # axial deviatoric stress
-            root = abs(deviator) * math.sqrt(0.75)
-            m, r, *_ = return_map(mean, root, constants)
-            s = math.copysign(r[0] / math.sqrt(0.75), deviator)
-            return m[0] + s, m[0] - s / 2
-
-        low, high = -2 * abs(step), 2 * abs(step)  # lateral stress grows with lateral strain
-        for _ in range(45):
-            middle = 0.5 * (low + high)
-            if lateral_stress(middle)[1] > cell_pressure:
-                high = middle
-            else:
-                low = middle
-        axial, lateral = lateral_stress(middle)
-        if abs(axial / lateral - ratio) < 1e-6:
-            break
-    eta = cone_slope(PHI, cone)
-    exact = (math.sqrt(3) + 2 * eta) / (math.sqrt(3) - eta)
-    assert exact == pytest.approx(ratio, abs=1e-4)
-    assert axial / lateral == pytest.approx(exact, rel=1e-6)
-    assert lateral == pytest.approx(cell_pressure, rel=1e-6)
+def apex_of(constants):
+    """Mean stress xi/eta [Pa] that an open node bears."""
+    return constants.xi / constants.eta
 
 
-def test_isotropic_extension_ends_at_the_apex():
-    """At c = 0 any tension returns to zero stress exactly, with no deviator to divide by."""
-    constants = material()
-    mean, root, d_eps, work, opened = return_map([1e3, 1.0, 1e-12], [0.0, 0.0, 0.0], constants)
-    assert np.all(mean == 0.0) and np.all(root == 0.0)
-    # eps_v = sigma_m/K is all plastic: sqrt(2/3 eps:eps) = sqrt(2)/3 eps_v
-    assert d_eps == pytest.approx(math.sqrt(2) / 3 * np.array([1e3, 1.0, 1e-12]) / BULK, rel=1e-9)
-    assert np.all(work == 0.0)
-    assert opened == pytest.approx(np.array([1e3, 1.0, 1e-12]) / BULK, rel=1e-14)
+# The pressure law of a node
+
+KINDS = pytest.mark.parametrize("cohesion", [0.0, 1e3])
 
 
-def test_tension_with_shear_returns_to_zero_and_to_the_cohesive_apex():
-    mean, root, *_ = return_map([5e3, 1e2, -5.0], [2e3, 1e1, 1e1], material())
-    assert np.all(mean[:2] == 0.0) and np.all(root[:2] == 0.0)
-    assert mean[2] == -5.0 and root[2] == pytest.approx(5.0 * cone_slope(PHI, "inner"))
-    cohesive = material(cohesion=1e3)
-    mean, root, *_ = return_map([1e5], [1.0], cohesive)
-    assert mean[0] == pytest.approx(1e3 / math.tan(math.radians(PHI)), rel=1e-12)
-    assert root[0] == 0.0
+@KINDS
+def test_a_node_is_elastic_up_to_the_apex_and_bears_no_more(cohesion):
+    """sigma = K theta below theta = xi/(eta K), xi/eta = c cot(phi) beyond it, however far it opens."""
+    law = sand(cohesion=cohesion)
+    apex = cohesion / math.tan(math.radians(SAND["friction_angle"]))
+    assert law.opens_at == pytest.approx(apex / law.bulk, rel=1e-14)
+    below = law.opens_at - np.geomspace(1e-12, 0.5, 40)
+    assert node_law(below, law) == pytest.approx(law.bulk * below, rel=1e-15)
+    assert node_law([1e-2, 1.0, 1e6], law) == pytest.approx(apex, rel=1e-14, abs=0.0)
 
 
-def test_shear_return_closed_form():
-    """psi = 0: pressure unchanged, sqrt(J2) = eta p, d_eps = (sqrt(J2)_trial - eta p)/(sqrt3 G)."""
-    constants = material()
-    mean, root, d_eps, work, opened = return_map([-1e4], [2e4], constants)
-    assert mean[0] == -1e4 and opened[0] == 0.0
-    assert root[0] == pytest.approx(constants.eta * 1e4, rel=1e-14)
-    assert d_eps[0] == pytest.approx((2e4 - root[0]) / (math.sqrt(3) * SHEAR), rel=1e-12)
-    assert work[0] == pytest.approx(root[0] * (2e4 - root[0]) / SHEAR, rel=1e-12)  # sqrt(J2) times gamma_p
+@KINDS
+def test_what_a_node_opens_must_close_before_it_bears_pressure(cohesion):
+    """A loop of volume strain, opened by 2 % and closed again: the same stress on the way back as on the way out."""
+    law = sand(cohesion=cohesion)
+    out = np.linspace(-1e-3, 2e-2, 50)
+    stress = node_law([*out, *out[::-1]], law)
+    assert np.array_equal(stress[:50], stress[:49:-1])
+    assert stress[-1] == pytest.approx(-1e-3 * law.bulk, rel=1e-15)
+    still_open = stress[50:][out[::-1] > law.opens_at]
+    assert len(still_open) > 40 and still_open == pytest.approx(apex_of(law), rel=1e-14, abs=0.0)
 
 
-@settings(max_examples=300, deadline=None)
-@given(
-    st.floats(-1e7, 1e7), st.floats(0.0, 1e7), st.floats(1.0, 60.0), st.floats(0.0, 1.0), st.floats(0.0, 1e5),
-    st.sampled_from(["inner", "outer", "plane_strain"]),
-)  # fmt: skip
-def test_any_trial_state_ends_inside_the_cone(mean, root, phi, psi_share, cohesion, cone):
-    """Inside to 1e-9 of the stress, plastic work not negative, and a second return changes nothing."""
-    constants = material(phi, psi_share * phi, cohesion, cone)
-    m, r, d_eps, work, opened = (a[0] for a in return_map(mean, root, constants))
-    size = 1.0 + abs(mean) + root
-    assert r + constants.eta * m - constants.xi <= 1e-9 * size
-    assert r >= 0 and d_eps >= 0 and opened >= 0 and work >= -1e-9 * size**2 / BULK
-    again_m, again_r, _, _, again_opened = (a[0] for a in return_map(m, r, constants, opened))
-    assert again_m == pytest.approx(m, abs=1e-9 * size)
-    assert again_r == pytest.approx(r, abs=1e-9 * size)
-    assert again_opened == pytest.approx(opened, abs=1e-9 * size / BULK)
+@pytest.mark.parametrize("changes", [{"friction_angle": 0.0, "cohesion": 5e3}, {"model": "elastic"}])
+def test_without_an_apex_a_node_bears_any_tension(changes):
+    """phi = 0 (eta = 0: a cylinder) and an elastic material."""
+    theta = np.array([-0.1, 0.0, 1e-6, 0.1, 1e3])
+    law = sand(**changes)
+    assert node_law(theta, law) == pytest.approx(law.bulk * theta, rel=1e-15)
 
 
-def test_what_opened_at_the_apex_closes_before_pressure_returns():
-    """A closed loop of volume strain, +e then -e, ends at the stress it began with: no volume is gained."""
-    constants = material()
-    p0, steps, e = 5e3, 50, 0.02
-    mean, opening = -p0, 0.0
-    path = [e / steps] * steps + [-e / steps] * steps
-    total = 0.0
-    for increment in path:
-        total += increment
-        mean, root, _, _, opening = (a[0] for a in return_map(mean + BULK * increment, 0.0, constants, opening))
-        assert root == 0.0
-        assert mean == pytest.approx(min(-p0 + BULK * total, 0.0), abs=1e-6)  # zero while open, elastic once closed
-        assert opening == pytest.approx(max(total - p0 / BULK, 0.0), abs=1e-15)
-    assert mean == pytest.approx(-p0, rel=1e-9)
+# The return map
+
+RANDOM = np.random.default_rng(1)
 
 
-def test_a_cohesive_gap_closes_without_tension():
-    """c > 0: unloading from the apex is elastic, the gap closes at zero stress, and no work is handed back."""
-    constants = material(cohesion=1e3)
-    apex = constants.xi / constants.eta
-    mean, opening, stresses, works = 0.0, 0.0, [], []
-    for increment in [1e-4] * 50 + [-1e-4] * 60:
-        mean, _, _, work, opening = (a[0] for a in return_map(mean + BULK * increment, 0.0, constants, opening))
-        stresses.append(mean)
-        works.append(work)
-    assert max(stresses) == pytest.approx(apex, rel=1e-12)
-    assert np.all(np.array(works) >= 0.0) and sum(works) > 0.0
-    closing = np.array(stresses[51:])
-    assert np.all(np.diff(closing) <= 1e-9) and np.sum(closing == 0.0) > 40
-    # all 5e-3 of extension are taken back, then 1e-3 of compression remain, as in an elastic material
-    assert opening == 0.0 and mean == pytest.approx(-BULK * 1e-3, rel=1e-6)
+def states(law, count=200):
+    """Trial states outside the cone of `law`: sigma_m up to its apex, sqrt(J2) up to 20 kPa above the cone [Pa]."""
+    sigma_m = apex_of(law) - RANDOM.uniform(0.0, 2e4, count)
+    return sigma_m, law.xi - law.eta * sigma_m + RANDOM.uniform(1.0, 2e4, count)
 
 
-@pytest.mark.parametrize("sigma_m", [-1.0, 0.0])
-def test_dilatancy_uses_up_what_is_open_before_it_builds_pressure(sigma_m):
-    """c = 0, open: shear meets no resistance. The opening falls by eta_bar d_lambda, and only what dilatancy exceeds
-    it by is compressed: p = K (eta_bar d_lambda - opening), with the stress on the cone.
-
-    Strains: sqrt(J2) falls by G d_lambda and d_eps^2 = d_lambda^2/3 + 2/9 (eta_bar d_lambda)^2; work is the stress
-    on the plastic strain.
+@KINDS
+@pytest.mark.parametrize("cone", ["inner", "outer", "plane_strain"])
+def test_without_dilatancy_the_deviator_returns_at_the_pressure_of_the_nodes(cohesion, cone):
+    """psi = 0: mean stress unchanged, sqrt(J2) = xi - eta sigma_m; the plastic strain is a shear of
+    d_lambda = (sqrt(J2)_trial - sqrt(J2))/G, so d_eps = d_lambda/sqrt(3). A gap in the nodes makes no difference.
     """
-    constants = material(psi=10.0)
-    opening = 1e-3
-    left = opening + sigma_m / BULK
-    for share in (0.3, 0.999, 1.001, 5.0):
-        trial = share * left * SHEAR / constants.eta_bar  # shear strain whose dilation is this share of what is open
-        m, r, d_eps, work, opened = (a[0] for a in return_map(sigma_m, trial, constants, opening))
-        d_lambda = (trial - r) / SHEAR
-        dilation = constants.eta_bar * d_lambda
-        assert d_eps == pytest.approx(math.sqrt(d_lambda**2 / 3 + 2 / 9 * dilation**2), rel=1e-9)
-        assert work == pytest.approx(m * dilation + r * d_lambda, rel=1e-9, abs=1e-9)
-        if share < 1:
-            assert m == 0.0 and r == pytest.approx(0.0, abs=1e-9 * trial)
-            assert opened == pytest.approx(left - dilation, rel=1e-9)
-        else:
-            assert opened == 0.0
-            assert m == pytest.approx(-BULK * (dilation - left), rel=1e-9) and m < 0.0
-            assert r == pytest.approx(-constants.eta * m, rel=1e-9)
+    law = sand(cohesion=cohesion, cone=cone)
+    sigma_m, trial = states(law)
+    for gap in (0.0, 1e-2):
+        mean, root, dilation, d_eps, work = return_map(sigma_m, gap, trial, law)
+        assert np.array_equal(mean, sigma_m) and np.all(dilation == 0.0)
+        assert root == pytest.approx(law.xi - law.eta * sigma_m, rel=1e-12, abs=1e-11)
+        d_lambda = (trial - root) / law.shear
+        assert d_eps == pytest.approx(d_lambda / math.sqrt(3.0), rel=1e-12)
+        assert work == pytest.approx(root * d_lambda, rel=1e-12, abs=1e-14)
 
 
-def test_an_open_point_loses_its_opening_to_dilatancy_whatever_the_round_off():
-    """At c = 0 the deviator returns to zero up to round-off of either sign; the opening must not depend on that."""
-    constants = material(psi=5.0)
-    root = np.random.default_rng(0).uniform(1.0, 1e4, 2000)
-    opened = return_map(-1.0, root, constants, 1e-2)[4]
-    left = 1e-2 - 1.0 / BULK - constants.eta_bar * root / SHEAR
-    assert opened == pytest.approx(left, rel=1e-9)
+@KINDS
+@pytest.mark.parametrize("psi", [5.0, 37.55])
+def test_dilatancy_of_closed_nodes_builds_pressure(cohesion, psi):
+    """psi > 0, no gap: d_lambda = f/(G + K eta eta_bar) takes the stress along (K eta_bar, G) to the cone.
+
+    Linear elasticity: the energy that the stress loses is the plastic work and the energy of the plastic strain,
+    K/2 dilation^2 + G/2 d_lambda^2. The work is d_lambda (xi - (eta - eta_bar) sigma_m): none at psi = phi, c = 0.
+    """
+    law = sand(psi, cohesion)
+    sigma_m, trial = states(law)
+    mean, root, dilation, d_eps, work = return_map(sigma_m, 0.0, trial, law)
+    d_lambda = (trial + law.eta * sigma_m - law.xi) / (law.shear + law.bulk * law.eta * law.eta_bar)
+    assert mean == pytest.approx(sigma_m - law.bulk * law.eta_bar * d_lambda, rel=1e-12, abs=1e-9)
+    assert root == pytest.approx(law.xi - law.eta * mean, rel=1e-12, abs=1e-9)
+    assert dilation == pytest.approx(law.eta_bar * d_lambda, rel=1e-12)
+    assert d_eps == pytest.approx(np.sqrt(d_lambda**2 / 3.0 + 2.0 / 9.0 * dilation**2), rel=1e-12)
+    energy = [m**2 / (2.0 * law.bulk) + r**2 / (2.0 * law.shear) for m, r in ((sigma_m, trial), (mean, root))]
+    of_plastic_strain = 0.5 * law.bulk * dilation**2 + 0.5 * law.shear * d_lambda**2
+    assert energy[0] - energy[1] == pytest.approx(work + of_plastic_strain, rel=1e-10)
+    assert work == pytest.approx(d_lambda * (law.xi - (law.eta - law.eta_bar) * mean), rel=1e-9, abs=1e-9)
 
 
-REGIMES = {  # psi [degrees], c [Pa]; then of n random numbers a, b, c in (0, 1): sigma_m [Pa], sqrt(J2) [Pa], opening
-    "elastic": (5.0, 3e3, lambda a, b, c: (-1e4 - 1e4 * a, 4e3 * b, 0.0 * c)),
-    "elastic, zero deviator": (5.0, 3e3, lambda a, b, c: (-1e4 - 1e4 * a, 0.0 * b, 0.0 * c)),
-    "shear": (5.0, 3e3, lambda a, b, c: (-1e4 * a, 2e4 + 1e4 * b, 0.0 * c)),
-    "apex": (5.0, 3e3, lambda a, b, c: (6e4 + 1e4 * a, 1e2 * b, 1e-3 * c)),
-    "cohesionless apex": (0.0, 0.0, lambda a, b, c: (1e2 + 1e4 * a, 1e2 + 1e4 * b, 1e-3 * c)),
-    "closing fully": (5.0, 0.0, lambda a, b, c: (-1e4 - 1e4 * a, 1e4 * b, 1e-3 * c)),
-    "closing partly": (5.0, 3e3, lambda a, b, c: (-1e3 * a - 1.0, 2e3 * b, 1e-3 + 1e-3 * c)),
-    "open with dilatancy": (5.0, 0.0, lambda a, b, c: (-1e3 * a - 1.0, 1.0 + 1e4 * b, 2e-3 + 1e-3 * c)),
-    "open, dilatancy and cohesion": (5.0, 3e3, lambda a, b, c: (-1e3 * a - 1.0, 4e3 + 1e4 * b, 3e-3 + 1e-3 * c)),
-    "open, used up by dilatancy": (5.0, 3e3, lambda a, b, c: (-50.0 * a - 1.0, 1e5 + 1e4 * b, 1e-4 + 1e-4 * c)),
+@KINDS
+@pytest.mark.parametrize("share", [0.1, 0.999, 1.001, 20.0])
+def test_dilatancy_fills_a_gap_before_it_builds_pressure(cohesion, share):
+    """While eta_bar f/G is less than the gap (`share` < 1) the mean stress stays; what exceeds the gap is compressed,
+    p = K (dilation - gap) more, with the stress on the cone.
+    """
+    law = sand(10.0, cohesion)
+    sigma_m, gap = apex_of(law) - np.array([0.0, 1.0, 5e2, 1e4]), 1e-3
+    f = share * gap * law.shear / law.eta_bar
+    trial = f + law.xi - law.eta * sigma_m
+    mean, root, dilation, d_eps, work = return_map(sigma_m, gap, trial, law)
+    if share < 1.0:
+        assert np.array_equal(mean, sigma_m)
+        assert dilation == pytest.approx(share * gap, rel=1e-11)
+    else:
+        assert np.all(dilation > gap)
+        assert mean == pytest.approx(sigma_m - law.bulk * (dilation - gap), rel=1e-9)
+    assert root == pytest.approx(law.xi - law.eta * mean, rel=1e-9, abs=1e-11 * f)
+    d_lambda = (trial - root) / law.shear
+    assert dilation == pytest.approx(law.eta_bar * d_lambda, rel=1e-11)
+    assert d_eps == pytest.approx(np.sqrt(d_lambda**2 / 3.0 + 2.0 / 9.0 * dilation**2), rel=1e-11)
+    assert work == pytest.approx(mean * dilation + root * d_lambda, rel=1e-9, abs=1e-12 * f)
+
+
+@KINDS
+def test_the_return_is_continuous_where_the_gap_is_used_up(cohesion):
+    """eta_bar f/G = gap, from both sides: mean stress and deviator of the gap's filling, all of the gap filled."""
+    law, gap, tiny = sand(10.0, cohesion), 1e-3, 1e-6
+    sigma_m = -1e3
+    trial = gap * law.shear / law.eta_bar + law.xi - law.eta * sigma_m
+    mean, root, dilation, *_ = return_map(sigma_m, gap, trial + np.array([-tiny, tiny]), law)
+    assert mean == pytest.approx(sigma_m, abs=2.0 * law.bulk / law.shear * tiny)
+    assert root == pytest.approx(law.xi - law.eta * sigma_m, abs=2.0 * law.bulk / law.shear * tiny)
+    assert dilation == pytest.approx(gap, abs=tiny / law.shear)
+
+
+@KINDS
+@pytest.mark.parametrize("psi", [0.0, 10.0])
+def test_open_nodes_bear_no_deviator(cohesion, psi):
+    """At sigma_m = xi/eta as the nodes give it, round-off and all: any deviator returns to zero."""
+    law = sand(psi, cohesion)
+    sigma_m = node_law([0.5], law)
+    trial = np.geomspace(1e-6, 1e6, 60)
+    mean, root, dilation, *_ = return_map(sigma_m, 0.5, trial, law)
+    assert np.all(mean == sigma_m)
+    assert np.all(root >= 0.0) and np.all(root <= 1e-15 * (trial + 10.0 * cohesion))
+    assert dilation == pytest.approx(law.eta_bar * trial / law.shear, rel=1e-6 if cohesion else 1e-14)
+
+
+@KINDS
+@pytest.mark.parametrize("psi", [0.0, 10.0])
+def test_round_off_beyond_the_apex_gives_a_deviator_of_zero_and_no_less(cohesion, psi):
+    law = sand(psi, cohesion)
+    beyond = apex_of(law) + 1e-12 * np.array([0.5, 1.0, 50.0])
+    trial = np.array([[1e-13], [1.0], [1e5]])
+    returned = return_map(beyond, 0.5, trial, law)
+    assert np.isfinite(returned).all()
+    assert np.all(returned[0] == beyond)
+    assert np.all(returned[1] >= 0.0) and np.all(returned[1] <= 1e-15 * (trial + 10.0 * cohesion))
+
+
+@pytest.mark.parametrize("law", [sand(), sand(10.0, 1e3), sand(10.0), sand(model="elastic")])
+def test_without_a_deviator_nothing_returns(law):
+    """sqrt(J2) = 0: the mean stress as it is, no plastic strain and no NaN, at the apex and round-off beyond it too."""
+    apex = apex_of(law) if law.plastic else 0.0
+    sigma_m = np.array([-1e7, -1.0, 0.0, apex, apex + 1e-12])
+    mean, *rest = return_map(sigma_m, [[0.0], [1e-2]], 0.0, law)
+    assert np.all(mean == sigma_m) and np.all(np.array(rest) == 0.0)
+
+
+@pytest.mark.parametrize("psi", [0.0, 10.0])
+def test_stresses_that_underflow_return_no_nan(psi):
+    """Down to the smallest number there is, where d_lambda loses its digits: G d_lambda is wrong by up to G 5e-324."""
+    law, round_off = sand(psi), 1e-316
+    tiny = np.array([0.0, 1e-300, 1e-310, 1e-316, 1e-317, 1e-320, 5e-324])
+    sigma_m, gap, trial = -tiny[:, None, None], np.array([0.0, 1e-316, 1e-3])[:, None], np.array([*tiny, 1.0])
+    mean, root, *plastic = return_map(sigma_m, gap, trial, law)
+    assert np.isfinite(plastic).all()
+    assert np.all(root >= 0.0) and np.all(root + law.eta * mean <= round_off + 1e-15 * trial)
+    assert np.all(mean <= 0.0)
+
+
+@pytest.mark.parametrize("psi", [0.0, 10.0])
+def test_an_elastic_material_never_yields(psi):
+    law = sand(psi, model="elastic")
+    mean, root, *plastic = return_map([-1e9, 0.0, 1e9, 1e15], 0.0, [1e9, 1e12, 1e3, 1e15], law)
+    assert np.array_equal(mean, [-1e9, 0.0, 1e9, 1e15]) and np.array_equal(root, [1e9, 1e12, 1e3, 1e15])
+    assert np.all(np.array(plastic) == 0.0)
+
+
+def test_without_friction_the_cone_is_a_cylinder():
+    """phi = 0: strength c whatever the pressure or tension (Tresca's radius in plane strain)."""
+    law = sand(friction_angle=0.0, cohesion=5e3, cone="plane_strain")
+    mean, root, dilation, *_ = return_map([-1e6, 0.0, 1e6], 0.0, [1e5, 1e5, 1e3], law)
+    assert np.array_equal(mean, [-1e6, 0.0, 1e6]) and np.all(dilation == 0.0)
+    assert root == pytest.approx([5e3, 5e3, 1e3], rel=1e-12)
+
+
+# Slopes of the return map. A regime: psi [degrees], c [Pa], and of random numbers a, b, g in (0, 1) how far sigma_m is
+# below the apex, sqrt(J2) above the cone [Pa], and the gap [-].
+
+REGIMES = {
+    "elastic": (5.0, 3e3, lambda a, b, g: (1e4 + 1e4 * a, -5e3 * b - 1.0, 1e-3 * g)),
+    "no dilatancy": (0.0, 3e3, lambda a, b, g: (1e4 * a, 1.0 + 1e4 * b, 1e-3 * g)),
+    "no dilatancy, no cohesion": (0.0, 0.0, lambda a, b, g: (1e4 * a, 1.0 + 1e4 * b, 1e-3 * g)),
+    "no dilatancy, at the apex": (0.0, 3e3, lambda a, b, g: (0.0 * a, 1.0 + 1e4 * b, 1e-3 * g)),
+    "gap filled in part": (5.0, 3e3, lambda a, b, g: (1e4 * a, 1.0 + 1e4 * b, 1e-3 + 1e-3 * g)),
+    "gap filled in part, at the apex": (5.0, 0.0, lambda a, b, g: (0.0 * a, 1.0 + 1e4 * b, 1e-3 + 1e-3 * g)),
+    "gap used up": (5.0, 3e3, lambda a, b, g: (1e4 * a, 1e4 + 1e4 * b, 1e-4 * g)),
+    "gap used up, at the apex": (5.0, 0.0, lambda a, b, g: (0.0 * a, 1e4 + 1e4 * b, 1e-4 * g)),
+    "gap used up, none there": (5.0, 3e3, lambda a, b, g: (1e4 * a, 1.0 + 1e4 * b, 0.0 * g)),
 }
 
 
 @pytest.mark.parametrize("regime", REGIMES)
 def test_slopes_are_the_derivatives_of_the_return(regime):
-    """Central differences of return_map at random states; a step within which the regime changes is left out.
+    """Differences of return_map at random states, central but at the ends of sigma_m <= xi/eta and gap >= 0.
 
     The returned invariants are linear within a regime, so what remains is round-off.
     """
-    psi, cohesion, states = REGIMES[regime]
-    constants, step = material(psi=psi, cohesion=cohesion), 1e-2
-    mean, root, opening = states(*np.random.default_rng(2).random((3, 500)))
+    psi, cohesion, draw = REGIMES[regime]
+    law, step = sand(psi, cohesion), 1e-2
+    below, above, gap = draw(*np.random.default_rng(2).random((3, 100)))
+    sigma_m = apex_of(law) - below
+    root_j2 = law.eta * below + above
+    _, _, dilation, d_eps, _ = return_map(sigma_m, gap, root_j2, law)
+    if regime == "elastic" or regime.startswith("no"):
+        assert np.all(dilation == 0.0) and np.all((d_eps > 0.0) != (regime == "elastic"))
+    elif "in part" in regime:
+        assert np.all((dilation > 0.0) & (dilation < gap))
+    else:
+        assert np.all(dilation > gap)
 
-    def returned_to(mean, root):
-        return np.array(return_map(mean, root, constants, opening)[:2])
+    def returned(below, k_gap, root_j2):
+        return return_map(apex_of(law) - below, k_gap / law.bulk, root_j2, law)[:2]
 
-    slopes = return_slopes(mean, root, constants, opening)
-    one_sided = root < step  # sqrt(J2) has no negative side
-    along_m = (returned_to(mean + step, root) - returned_to(mean - step, root)) / (2 * step)
-    behind = np.where(one_sided, root, root - step)
-    along_r = (returned_to(mean, root + step) - returned_to(mean, behind)) / (root + step - behind)
-    wrong = np.abs(np.array([along_m[0], along_r[0], along_m[1], along_r[1]]) - slopes).max(axis=0) > 1e-6
-    assert wrong.mean() < 0.005  # a kink within the step
-
-
-@pytest.mark.parametrize("psi", [0.0, 5.0, 20.0])
-@pytest.mark.parametrize("cohesion", [0.0, 3e3])
-def test_stress_and_opening_are_continuous_where_the_opening_closes(psi, cohesion):
-    """Across sigma_m = -K opening (closed by compression) and eta_bar d_lambda = opening (closed by dilatancy)."""
-    constants, opening, tiny = material(psi=psi, cohesion=cohesion), 1e-3, 1e-6
-    for root in (0.0, 1e3, 1e4, 1e5):
-        both = np.array(return_map(-BULK * opening + np.array([-tiny, tiny]), root, constants, opening))
-        assert both[:2, 0] == pytest.approx(both[:2, 1], abs=10 * tiny)
-        assert both[4, 0] == pytest.approx(both[4, 1], abs=10 * tiny / BULK)
-    if psi > 0:
-        root = constants.xi + SHEAR * (opening - 1.0 / BULK) / constants.eta_bar
-        both = np.array(return_map(-1.0, root + np.array([-tiny, tiny]), constants, opening))
-        assert both[:2, 0] == pytest.approx(both[:2, 1], abs=10 * tiny)
-        assert both[4] == pytest.approx(0.0, abs=10 * tiny / SHEAR)
+    at, slopes = [below, law.bulk * gap, root_j2], return_slopes(sigma_m, gap, root_j2, law)
+    for axis, sign in enumerate((-1.0, 1.0, 1.0)):
+        low, high = list(at), list(at)
+        low[axis], high[axis] = np.maximum(at[axis] - step, 0.0), at[axis] + step
+        difference = (returned(*high) - returned(*low)) / (high[axis] - low[axis])
+        assert sign * difference == pytest.approx(slopes[[axis, 3 + axis]], abs=1e-6)
 
 
-@pytest.mark.parametrize("psi", [0.0, 5.0])
-def test_stress_is_continuous_where_an_open_point_turns_from_closing_to_opening(psi):
-    """Across sigma_m = 0 while open and sheared, c = 0: no pressure on either side as long as something is open."""
-    constants, tiny = material(psi=psi), 1e-6
-    both = np.array(return_map(np.array([-tiny, tiny]), 1e4, constants, 1e-2))
-    assert both[0] == pytest.approx(0.0, abs=10 * tiny)
-    assert both[1] == pytest.approx(0.0, abs=10 * tiny)
-    assert both[4, 0] == pytest.approx(both[4, 1], rel=1e-6)
-
-
-def test_without_friction_the_cone_is_a_cylinder():
-    """phi = 0: strength c whatever the pressure (Tresca's radius in plane strain), no apex."""
-    constants = material(phi=0.0, cohesion=5e3, cone="plane_strain")
-    mean, root, *_ = return_map([-1e6, 0.0, 1e6], [1e5, 1e5, 1e3], constants)
-    assert mean == pytest.approx([-1e6, 0.0, 1e6], abs=0)
-    assert root == pytest.approx([5e3, 5e3, 1e3], rel=1e-12)
+def test_slopes_where_nothing_yields():
+    """The identity, without a deviator and round-off beyond the apex too."""
+    law = sand(10.0, 1e3)
+    sigma_m = [-1e4, -1e4, apex_of(law), apex_of(law) + 1e-12]
+    slopes = return_slopes(sigma_m, np.zeros(4), [1e3, 0.0, 0.0, 0.0], law)
+    assert np.array_equal(slopes, np.tile([[1.0], [0.0], [0.0], [0.0], [0.0], [1.0]], 4))
+    elastic = dataclasses.replace(law, plastic=False)
+    assert np.array_equal(return_slopes([1e6], [0.0], [1e6], elastic)[:, 0], [1.0, 0.0, 0.0, 0.0, 0.0, 1.0])

@@ -1,0 +1,171 @@
+"""Collapses to rest by either solver over aspect ratio, damping, cells per r0 and settings: a CSV row each, and means.
+
+    python benchmarks/collapses.py run --mode explicit --lambda0 0.5 1 --damping 0.05 0.4 --cells 8 10 16 20 \
+        --realisations 3 --jobs 2 --out benchmarks/results/NAME.csv [--set material.poisson=0.49] [--turned 45] \
+        [--shifted 0.1429 0.1429 0] [--symmetry full] [--device cuda:0] [--reg ghost=0.2]
+    python benchmarks/collapses.py means benchmarks/results/NAME.csv ...
+
+`--realisations` k shows what round-off and small changes do: k runs, the r-th with a Courant number (explicit) or a
+longest step (implicit) that is r % smaller. Rows that are there already are not run again. Seconds are clean where
+`--jobs` is 1 and nothing else runs.
+"""
+
+import argparse
+import csv
+import itertools
+import multiprocessing
+import shlex
+import sys
+import time
+from pathlib import Path
+from statistics import mean, stdev
+
+CASE = (
+    "mode", "lambda0", "damping", "cells", "precision", "settings", "turned", "shifted", "symmetry", "regularisation",
+    "realisation",
+)  # fmt: skip
+FIGURES = (
+    "points", "R_max", "R_995", "R_connected", "h_inf", "eq4", "stop_reason", "sim_time", "steps", "wall_s",
+    "volume_ratio", "pressureless_share", "most_points_in_a_cell", "full_cell_ratio", "energy_residual",
+    "grid_ke_ratio", "newton_iterations", "linear_iterations", "failed_steps", "unbalanced_ratio", "young_used",
+)  # fmt: skip
+MACHINE = ("device_name", "warp", "commit", "date")
+
+
+def cases(options) -> list[dict[str, str]]:
+    settings = " ".join(options.set)
+    regularisation = " ".join(options.reg)
+    damping = options.damping if options.mode == "explicit" else [""]
+    product = itertools.product(
+        [options.mode], options.lambda0, damping, options.cells, options.precision, [settings], [options.turned],
+        [" ".join(options.shifted)], [options.symmetry], [regularisation], range(options.realisations),
+    )  # fmt: skip
+    return [dict(zip(CASE, (str(value) for value in values), strict=True)) for values in product]
+
+
+def compute(job) -> dict:
+    """The row of one case."""
+    case, device, command = job
+    from compare.hard.collapse import finish
+    from mpm.analytic import eq4
+    from mpm.devices import start_warp
+    from mpm.errors import NumericalError
+    from mpm.provenance import provenance
+    from mpm.runout import run_out
+
+    start_warp()
+    cell, less = 1.0 / float(case["cells"]), 1.0 - 0.01 * int(case["realisation"])
+    settings = [
+        f"geometry.aspect_ratio={float(case['lambda0'])!r}",
+        f"grid.cell={cell!r}",
+        f"geometry.symmetry={case['symmetry']}",
+        *case["settings"].split(),
+    ]
+    changed = {key: float(value) for key, value in (item.split("=") for item in case["regularisation"].split())}
+    if case["mode"] == "explicit":
+        settings += [f"explicit.damping={case['damping']}", f"explicit.precision={case['precision']}"]
+        settings += [f"explicit.cfl={0.5 * less!r}"] if int(case["realisation"]) else []
+    elif int(case["realisation"]):
+        from implicit.relaxation import Regularisation
+
+        changed["cap"] = changed.get("cap", Regularisation().cap) * less
+    shift = [float(part) * cell for part in case["shifted"].split()]
+    started = time.perf_counter()
+    try:
+        run = finish(
+            case["mode"], "column_1", *settings, turned=float(case["turned"]), shifted=shift, device=device, **changed
+        )
+        row = run.summary() | {"wall_s": time.perf_counter() - started}
+        if any(shift):  # measured about the axis, wherever it was moved to
+            row |= run_out(run.x - [shift[0], shift[1], 0.0], run.body.measure)
+    except NumericalError as error:
+        row = {"stop_reason": str(error).splitlines()[0], "wall_s": time.perf_counter() - started}
+    row["eq4"] = float(eq4(float(case["lambda0"]), 0.7687))  # tan(37.55 degrees)
+    machine = provenance(device, case["precision"])
+    return case | {key: row.get(key, "") for key in FIGURES} | {key: machine[key] for key in MACHINE} | command
+
+
+def run(options):
+    """Compute what is missing in the table and add it, row by row."""
+    command = {"command": shlex.join(["python", *sys.argv])}
+    done = list(csv.DictReader(options.out.open())) if options.out.exists() else []
+    missing = [case for case in cases(options) if not any(all(row[key] == case[key] for key in CASE) for row in done)]
+    columns = (*CASE, *FIGURES, *MACHINE, "command")
+    with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
+        for row in pool.imap_unordered(compute, [(case, options.device, command) for case in missing]):
+            new = not options.out.exists()
+            with options.out.open("a", newline="") as file:
+                writer = csv.DictWriter(file, columns)
+                if new:
+                    writer.writeheader()
+                writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
+            told = ("lambda0", "damping", "cells", "settings", "realisation", "R_995", "R_max", "stop_reason", "wall_s")
+            print({key: row[key] for key in told}, flush=True)
+
+
+def means(options):
+    """Mean, standard error and number of realisations of R_995 and R_max, as Markdown."""
+    rows = [row for path in options.tables for row in csv.DictReader(path.read_text().splitlines())]
+    key = CASE[:-1]
+    order = sorted(rows, key=lambda r: (r["mode"], float(r["lambda0"]), r["damping"], float(r["cells"]), r["settings"]))
+    print("| mode | lambda0 | D | cells | changed | n | R_995 | over Eq. 4 | R_max | volume | no p | most | full cell "
+          "| residual | t [s] | steps | Newton | failed | ended by |\n" + "|---" * 19 + "|")  # fmt: skip
+    for case, members in itertools.groupby(order, key=lambda r: tuple(r[k] for k in key)):
+        group, about = list(members), dict(zip(key, case, strict=True))
+        good = [row for row in group if row["R_995"]]
+        changed = " ".join(filter(None, (
+            about["settings"], about["regularisation"],
+            "" if float(about["turned"]) == 0 else f"turned {about['turned']}",
+            f"shifted {about['shifted']}" if about["shifted"] != "0 0 0" else "",
+            about["precision"] if about["precision"] != "float64" else "", about["symmetry"].replace("quarter", ""),
+        )))  # fmt: skip
+        front = [about["mode"], about["lambda0"], about["damping"], about["cells"], changed, str(len(good))]
+        ends = ", ".join(sorted({row["stop_reason"] for row in group}))
+        if not good:
+            print("| " + " | ".join([*front, *[""] * 12, ends]) + " |")
+            continue
+
+        def average(name, good=good):
+            return mean(float(row[name] or "nan") for row in good)
+
+        spread = [float(row["R_995"]) for row in good]
+        error = f" +- {stdev(spread) / len(spread) ** 0.5:.4f}" if len(spread) > 1 else ""
+        cells = [
+            f"{average('R_995'):.4f}{error}", f"{average('R_995') / average('eq4') - 1:+.1%}",
+            f"{average('R_max'):.4f}",
+            f"{average('volume_ratio') - 1:+.2%}", f"{average('pressureless_share'):.2%}",
+            f"{average('most_points_in_a_cell'):.0f}", f"{average('full_cell_ratio'):.3f}",
+            f"{average('energy_residual'):.2%}", f"{average('sim_time'):.2f}", f"{average('steps'):.0f}",
+            f"{average('newton_iterations'):.0f}", f"{average('failed_steps'):.0f}", ends,
+        ]  # fmt: skip
+        print("| " + " | ".join([*front, *cells]) + " |")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    one = commands.add_parser("run")
+    one.add_argument("--mode", default="explicit", choices=["explicit", "implicit"])
+    one.add_argument("--lambda0", nargs="+", default=["0.5", "1"])
+    one.add_argument("--damping", nargs="+", default=["0.05", "0.4"])
+    one.add_argument("--cells", nargs="+", default=["8"], help="per r0")
+    one.add_argument("--precision", nargs="+", default=["float64"])
+    one.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE")
+    one.add_argument("--reg", nargs="*", default=[], metavar="NAME=VALUE", help="of implicit.relaxation.Regularisation")
+    one.add_argument("--turned", default="0", help="[degrees] about the axis")
+    one.add_argument("--shifted", nargs=3, default=["0", "0", "0"], help="along x, y, z [cells]")
+    one.add_argument("--symmetry", default="quarter")
+    one.add_argument("--realisations", type=int, default=1)
+    one.add_argument("--jobs", type=int, default=1)
+    one.add_argument("--device", default="cpu")
+    one.add_argument("--out", type=Path, required=True)
+    one.set_defaults(act=run)
+    other = commands.add_parser("means")
+    other.add_argument("tables", type=Path, nargs="+")
+    other.set_defaults(act=means)
+    options = parser.parse_args()
+    options.act(options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,122 @@
+"""The pressure law at the nodes, for one step: mean stress of the points, and how it couples their volume strains.
+
+    d_p = ln det F,   d_i = sum N d_p/sum N,   theta_p = theta_p^n + sum N d_i,   theta_i = sum N theta_p/sum N,
+    tau_i = K min(theta_i, xi/(eta K)),   tau_p = sum N tau_i
+
+over all nodes that points see, held by walls or not (`mpm.drucker_prager`; all points have the same mass). tau is the
+mean Kirchhoff stress. A node so couples points two cells apart, beyond the block rows that `System` assembles: what
+those lack is applied as products with sparse matrices whose rows are points.
+"""
+
+import numpy as np
+import warp as wp
+from scipy.sparse import csr_matrix
+
+from implicit.kernels import basis, points
+from implicit.kernels.layout import mat33, real, vec3
+from implicit.state import Basis, Points
+
+SMALLEST_STRETCH = 0.05  # det F of a point in one step, below which an increment is refused
+# Share of K with which a point follows its own volume strain in the assembled rows, the preconditioner: a node averages
+# away part of what varies within two cells. A fifth fewer sweeps than with all of it (nu = 0.3), a quarter (nu = 0.49).
+OWN_SHARE = 0.5
+
+
+class Volume:
+    """Deformation, volume strain and mean stress of the points at an increment, and their derivatives.
+
+    `deformation` (points,) mat33 F; `nodal` (points,) mean stress tau_p [Pa]; `gap` (points,) volume strain by which
+    the nodes are open beyond the apex [-], where psi > 0; `dilated` (points,) sum N d_i [-].
+    """
+
+    def __init__(self, state: Points, weights: Basis, seen: wp.array, seen_count: int, nodes: wp.array, held, material):
+        """`seen`, `nodes` (points, 27): numbers of all `seen_count` nodes of the stencils, and of those solved for;
+        `held` (solved,) vec3: 1 for components that walls hold."""
+        self.state, self.weights, self.material, self._nodes, self._held = state, weights, material, nodes, held
+        self._start = np.zeros(state.count + 1, np.int32)  # of a point's entries in the sparse matrices
+        np.cumsum(weights.reach.numpy().prod(axis=1), out=self._start[1:])
+        self._rows = wp.array(self._start[:-1], dtype=wp.int32, device="cpu")
+        self._average = self._by_rows(seen, seen_count)
+        self._gather = self._average.T
+        self._weight_sum = self._gather @ np.ones(state.count)
+        self.deformation, self.volumetric = (self._zeros(state.count, mat33) for _ in range(2))
+        self._det, self.nodal, self.gap, self.closed, self.filled = (self._zeros(state.count, real) for _ in range(5))
+        self._strain_slopes = None
+
+    @staticmethod
+    def _zeros(shape, dtype):
+        return wp.zeros(shape, dtype=dtype, device="cpu")
+
+    def _by_rows(self, nodes, count):
+        """Weights N as a sparse matrix (points, count)."""
+        w, size = self.weights, int(self._start[-1])
+        column, value = self._zeros(size, wp.int32), self._zeros(size, real)
+        outputs = [self._rows, column, value]
+        wp.launch(basis.weights_by_rows, self.state.count, inputs=[nodes, w.reach, w.weight, *outputs], device="cpu")
+        return csr_matrix((value.numpy(), column.numpy(), self._start), shape=(self.state.count, count))
+
+    def _at_nodes(self, field):
+        """sum N field/sum N of the nodes."""
+        return (self._gather @ field) / self._weight_sum
+
+    def deform(self, u: wp.array) -> bool:
+        """Take the increment `u`; False where a point collapses."""
+        w = self.weights
+        seen = [u, self._nodes, w.reach, w.weight, w.slope, self.deformation, self._det]
+        wp.launch(points.deform, self.state.count, inputs=seen, device="cpu")
+        det = self._det.numpy()
+        if not det.min() > SMALLEST_STRETCH:
+            return False
+        self.dilated = self._average @ self._at_nodes(np.log(det))
+        self._theta = self._at_nodes(self.state.theta.numpy() + self.dilated)
+        m = self.material
+        self.nodal.numpy()[:] = self._average @ (m.bulk * np.minimum(self._theta, m.opens_at))
+        if m.eta_bar > 0.0:
+            self.gap.numpy()[:] = self._average @ np.maximum(self._theta - m.opens_at, 0.0)
+        return True
+
+    @property
+    def open_nodes(self) -> np.ndarray:
+        """Which of the nodes (seen,) are open at the last increment."""
+        return self._theta > self.material.opens_at
+
+    def set_slopes(self, blend: float):
+        """Share of K that nodes have in the tangent, and points from theirs (`closed`): 1 closed, `blend` open."""
+        self._slope = np.where(self.open_nodes, blend, 1.0)
+        self.closed.numpy()[:] = self._average @ self._slope
+
+    def linearise(self):
+        """Rows of the points for `coupling`, from `volumetric` as `tangent_flux` leaves it."""
+        if self._strain_slopes is None:
+            column = self._by_rows(self._nodes, len(self._held)).indices
+            indices = (3 * column[:, None] + np.arange(3, dtype=np.int32)).ravel()
+            shape = (self.state.count, 3 * len(self._held))
+            self._slopes = [self._zeros(len(column), vec3) for _ in range(2)]
+            self._strain_slopes, force_slopes = (
+                csr_matrix((slopes.numpy().reshape(-1), indices, 3 * self._start), shape=shape)
+                for slopes in self._slopes
+            )
+            self._push = force_slopes.T
+        w = self.weights
+        fields = [self._rows, self._held, self.deformation, self.volumetric, *self._slopes]
+        seen = [self._nodes, w.reach, w.weight, w.slope]
+        wp.launch(points.volume_slopes, self.state.count, inputs=[*seen, *fields], device="cpu")
+        fill = self.filled.numpy()
+        self._fill = fill if fill.any() else None
+        closed = self.closed.numpy()
+        self._own = OWN_SHARE * (closed if self._fill is None else closed + fill * (1.0 - closed))
+
+    def coupling(self, v: np.ndarray) -> np.ndarray:
+        """What the tangent of the block rows lacks, times the flat `v` (3 nodes,) [m]: force (3 nodes,) [N]."""
+        own = self._strain_slopes @ v
+        theta = self._at_nodes(self._average @ self._at_nodes(own))
+        change = self._average @ (self._slope * theta)
+        if self._fill is not None:
+            change += self._fill * (self._average @ ((1.0 - self._slope) * theta))
+        change -= self._own * own
+        return self._push @ ((self.state.volume * self.material.bulk) * change)
+
+    def commit(self):
+        """Add the increment's volume strain to the points' state."""
+        self.state.theta.numpy()[:] += self.dilated
+        self.state.jacobian.numpy()[:] *= np.exp(self.dilated)
