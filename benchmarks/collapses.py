@@ -13,6 +13,7 @@ longest step (implicit) that is r % smaller. Rows that are there already are not
 import argparse
 import csv
 import itertools
+import math
 import multiprocessing
 import shlex
 import sys
@@ -48,6 +49,7 @@ def compute(job) -> dict:
     case, device, command = job
     from compare.hard.collapse import finish
     from mpm.analytic import eq4
+    from mpm.config import load_scene
     from mpm.devices import start_warp
     from mpm.errors import NumericalError
     from mpm.provenance import provenance
@@ -80,7 +82,8 @@ def compute(job) -> dict:
             row |= run_out(run.x - [shift[0], shift[1], 0.0], run.body.measure)
     except NumericalError as error:
         row = {"stop_reason": str(error).splitlines()[0], "wall_s": time.perf_counter() - started}
-    row["eq4"] = float(eq4(float(case["lambda0"]), 0.7687))  # tan(37.55 degrees)
+    scene = load_scene("column_1", settings)
+    row["eq4"] = float(eq4(float(case["lambda0"]), math.tan(math.radians(scene.material.friction_angle))))
     machine = provenance(device, case["precision"])
     return case | {key: row.get(key, "") for key in FIGURES} | {key: machine[key] for key in MACHINE} | command
 
@@ -107,7 +110,7 @@ def means(options):
     """Mean, standard error and number of realisations of R_995 and R_max, as Markdown."""
     rows = [row for path in options.tables for row in csv.DictReader(path.read_text().splitlines())]
     key = CASE[:-1]
-    order = sorted(rows, key=lambda r: (r["mode"], float(r["lambda0"]), r["damping"], float(r["cells"]), r["settings"]))
+    order = sorted(rows, key=lambda r: (float(r["lambda0"]), float(r["cells"]), *(r[k] for k in key)))
     print("| mode | lambda0 | D | cells | changed | n | R_995 | over Eq. 4 | R_max | volume | no p | most | full cell "
           "| residual | t [s] | steps | Newton | failed | ended by |\n" + "|---" * 19 + "|")  # fmt: skip
     for case, members in itertools.groupby(order, key=lambda r: tuple(r[k] for k in key)):

@@ -109,7 +109,10 @@ class ImplicitRun(Run):
         row = {"time": solver.time, "step": solver.steps, "dt": solver.time_step}
         row |= front(self.x, self.body.measure)
         row |= {"unbalanced": solver.unbalanced_ratio, "newton": newton, "failed": failed}
+        row["volume_ratio"] = float(solver.state.jacobian.numpy().mean())
         self.add_row(row)
+        if wrong := self.misplaced(row["volume_ratio"]):
+            raise NumericalError(f"diverged at step {solver.steps}: {wrong}")
         return row
 
     def field_makers(self) -> dict:
@@ -136,8 +139,8 @@ class ImplicitRun(Run):
         self.rest.recent = [tuple(row) for row in state["recent"]]
 
     def state_is_whole(self, _error: NumericalError) -> bool:
-        """Points move only once Newton has succeeded."""
-        return True
+        """Points move only once Newton has succeeded; where they ended may be no result."""
+        return not self.misplaced(self.last_row["volume_ratio"])
 
     def write_grid(self):
         """vtk/background.xdmf: the background mesh and the last step's displacement increment."""

@@ -159,7 +159,12 @@ class ImplicitSolver:
         at = np.array2string(self.x[point], precision=4)
         return (
             f"Newton failed {where}, pseudo-time {self.time:.6g} s, step {self.steps + 1}: residual {reached:.2g} of "
-            f"the weight after {len(self.residuals) - 1} iterations, largest near point {point}, x = {at} m"
+            f"the weight after {len(self.residuals) - 1} iterations, largest near point {point}, x = {at} m; "
+            + (
+                "loads.initial_stress = 'geostatic' follows a body that gravity makes collapse"
+                if self.load_share < 1.0
+                else "a smaller grid.cell may follow it"
+            )
         )
 
     def state_to_save(self) -> dict:

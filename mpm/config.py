@@ -381,6 +381,8 @@ def _cross_checks(scene: Scene) -> list[str]:
         )
     if scene.grid.extent == "paper" and not (isinstance(shape, Column) and shape.symmetry == "quarter"):
         problems.append("grid.extent = 'paper': only for a quarter column (Table 1)")
+    if scene.loads.ramp > 0 and scene.loads.initial_stress == "geostatic":
+        problems.append(f"loads.ramp = {scene.loads.ramp:g}: must be 0 [s] where loads.initial_stress = 'geostatic'")
     if scene.loads.gravity == 0:
         needs = {"explicit.until = 'rest'": scene.explicit.until == "rest"}
         needs |= {"output.history_every": scene.output.history_every is None}

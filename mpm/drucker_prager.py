@@ -11,8 +11,8 @@ MPM form). A point carries theta_p, the volume strain it has reached; with uGIMP
 with d_p = ln det F of the step. What a node opens beyond the apex must close before it bears pressure again: theta_i
 remembers it. Were the one-sided law at the eight points of a cell, only the most compressed would bear load: phi = 0
 blocks lock, sand gains volume. The deviator is the point's own; `return_map` takes it to the cone at the mean stress
-that the nodes give. It works on the two invariants (sigma_m, sqrt(J2)), so the same function serves Cauchy stress
-(explicit) and Kirchhoff stress with Hencky strain (implicit).
+that the nodes give, and what plastic flow dilates at psi > 0 is taken from theta. sigma stands for Kirchhoff stress, in
+both solvers.
 """
 
 import functools

@@ -1,7 +1,6 @@
 """How a body fills space: its volume, what bears no pressure, how many points share a cell."""
 
 import numpy as np
-from scipy.ndimage import minimum_filter
 
 from mpm.scene import Body
 
@@ -19,17 +18,9 @@ def packing(x, volume, pressure, body: Body) -> dict[str, float | None]:
     them, over the 8 of the start; None where there is no such cell. Nearer to the surface cells are filled in part.
     """
     cells = np.floor(np.asarray(x, float) / body.scene.grid.cell).astype(int)
-    corner = cells.min(axis=0)
-    shape = cells.max(axis=0) + 1 - corner
-    count = np.zeros(shape, int)
-    np.add.at(count, tuple((cells - corner).T), 1)
-    there = np.pad(count > 0, DEEP)
-    for axis in range(3):
-        ahead = np.moveaxis(there, axis, 0)
-        ahead[:DEEP] = corner[axis] == body.walls.low[axis]
-        ahead[-DEEP:] = corner[axis] + shape[axis] == body.walls.high[axis]
-    full = minimum_filter(there, size=2 * DEEP + 1)[(slice(DEEP, -DEEP),) * 3]
-    inside = count[full]
+    cells = np.clip(cells, np.array(body.walls.low), np.array(body.walls.high) - 1)  # hardly beyond a wall
+    cells, count = np.unique(cells, axis=0, return_counts=True)
+    inside = count[_full(cells, body)]
     weight = body.constants.density * body.scene.loads.gravity * body.height
     return {
         "volume_ratio": float(np.sum(volume) / (body.point_volume * len(body.x))),
@@ -37,3 +28,22 @@ def packing(x, volume, pressure, body: Body) -> dict[str, float | None]:
         "most_points_in_a_cell": int(count.max()),
         "full_cell_ratio": float(inside.mean() / POINTS_IN_A_CELL) if inside.size else None,
     }
+
+
+def _full(cells, body: Body) -> np.ndarray:
+    """Mask of the occupied `cells` (m, 3) around which all within DEEP are occupied too, or lie beyond a wall."""
+    key = _key(cells)
+    order = np.sort(key)
+    low, high = np.array(body.walls.low), np.array(body.walls.high)
+    full = np.arange(len(cells))
+    for offset in np.ndindex(*(2 * DEEP + 1,) * 3):
+        near = cells[full] + np.array(offset) - DEEP
+        wanted = _key(near)
+        there = order[np.minimum(np.searchsorted(order, wanted), len(order) - 1)] == wanted
+        full = full[there | ((near < low) | (near >= high)).any(axis=1)]
+    return full
+
+
+def _key(cells) -> np.ndarray:
+    """One number for each cell (m, 3), of indices within a million of the origin."""
+    return ((cells[:, 0] << 21) + cells[:, 1] << 21) + cells[:, 2]

@@ -16,6 +16,9 @@ from mpm.runout import run_out
 from mpm.scene import Body, build, theory
 from mpm.vtk import write_vtk
 
+# What is no result: points beyond a wall, in cells, and the volume, over the initial one, of what yields at psi = 0.
+MOST_BEYOND = 0.5
+VOLUME_RANGE = (0.7, 1.3)
 FARTHEST = 1e4  # of the body's first radii and heights from the origin: beyond, no lattice follows a point
 
 
@@ -36,7 +39,11 @@ def reopen(directory) -> Results:
 def body_of(results: Results) -> Body:
     """The body that a run started from, without its mesh file, which may be gone by now."""
     seeds = Seeds(results.read_static("x0"), *results.read_static("extent"))
-    return build(parse_scene(results.scene), seeds)
+    try:
+        return build(parse_scene(results.scene), seeds)
+    except SceneError as error:
+        where = results.directory
+        raise SceneError(f"{where}: made by another version of Repose; run its scene again ({error})") from None
 
 
 def spoilt(state: dict, farthest: float) -> str:
@@ -131,6 +138,19 @@ class Run:
     def farthest(self) -> float:
         """How far [m] from the origin a point can be."""
         return FARTHEST * (self.body.measure.reference + self.body.height + np.abs(self.body.x).max())
+
+    def misplaced(self, volume_ratio: float) -> str:
+        """Why points and their volume, `volume_ratio` of the initial one, can be no result; "" where they may be."""
+        walls, at = self.body.walls, self.x / self.body.scene.grid.cell
+        beyond = np.maximum(np.array(walls.low) - at, at - np.array(walls.high)).max(axis=1)
+        remedy = "a smaller grid.cell or stiffer material may hold it"
+        if beyond.max() > MOST_BEYOND:
+            point = int(beyond.argmax())
+            return f"point {point} lies {beyond[point]:.2g} cells beyond a wall, at x = {self.x[point]} m; {remedy}"
+        constants, (low, high) = self.body.constants, VOLUME_RANGE
+        if constants.plastic and constants.eta_bar == 0.0 and not low <= volume_ratio <= high:
+            return f"volume is {volume_ratio:.3g} of the initial one ({low} to {high} allowed); {remedy}"
+        return ""
 
     def whole_state(self) -> dict:
         """`state()`, finite and on the grid. Raises NumericalError that names the point."""

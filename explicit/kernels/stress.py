@@ -35,6 +35,7 @@ def stress_kernels(real):
     return_map, second_invariant, node_law = law.return_map, law.second_invariant, law.node_law
     Material = law.Material
     zero, one, two, half, third = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 1.0 / 3.0))
+    quarter, fifth, sixth = (wp.constant(real(value)) for value in (0.25, 0.2, 1.0 / 6.0))
     small = wp.constant(real(0.02))  # the series of ln(1 + x) is then right to 1e-11
 
     @wp.func(module=name)
@@ -53,7 +54,7 @@ def stress_kernels(real):
     def log_of_one_plus(x: real):
         """ln(1 + x), to full relative precision where x is small, as it is in nearly every step."""
         if wp.abs(x) < small:
-            return x * (one - x * (half - x * (third - x * (real(0.25) - x * (real(0.2) - x / real(6.0))))))
+            return x * (one - x * (half - x * (third - x * (quarter - x * (fifth - x * sixth)))))
         return wp.log(one + x)
 
     @wp.kernel(module=name)

@@ -20,7 +20,7 @@ pytestmark = [
 
 @pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 2e-4)])
 def test_gpu_follows_the_cpu(solver_of, run_to, precision, tolerance):
-    """Positions after 0.15 s: before yielding makes the motion chaotic, only the order of sums differs."""
+    """Positions after 0.15 s: only the order of sums differs."""
     settings = ("grid.cell=0.125", f"explicit.precision={precision}")
     solvers = [solver_of("column_1", *settings, device=device) for device in ("cpu", "cuda:0")]
     for solver in solvers:

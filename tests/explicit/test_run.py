@@ -146,3 +146,14 @@ def test_a_heap_that_stands_is_at_rest_at_once(tmp_path):
     assert summary["stop_reason"] == "rest"
     assert summary["sim_time"] == pytest.approx(2.0 * np.sqrt(0.5 / 9.81), rel=0.05)
     assert np.abs(Results.open(tmp_path).snapshot(-1)["x"] - build(load_scene("self_weight", settings)).x).max() < 1e-4
+
+
+def test_a_body_is_not_at_rest_before_gravity_is_whole(tmp_path):
+    """Gravity grows for 1 s, slowly enough for the block to stand still against the energy of its fall."""
+    summary = run(load_scene("self_weight", ["loads.ramp=1.0", "grid.cell=0.25"]), tmp_path)
+    assert summary["stop_reason"] == "rest" and summary["sim_time"] > 1.0 + 2.0 * np.sqrt(2.0 / 9.81)
+
+
+def test_without_gravity_the_ledger_is_no_hindrance(tmp_path):
+    settings = ["loads.gravity=0.0", "explicit.until=0.01", "output.history_every=0.005"]
+    assert run(load_scene("self_weight", settings), tmp_path)["energy_residual"] == 0.0

@@ -67,7 +67,9 @@ def test_a_column_comes_to_rest_with_all_its_outputs(tmp_path):
     assert history["newton"].sum() == summary["newton_iterations"] > 0
     assert history["failed"].sum() == summary["failed_steps"]
     assert history["time"][-1] == summary["sim_time"]
-    assert set(history) == {*("time", "step", "dt", "R_max", "R_995", "height", "unbalanced", "newton", "failed")}
+    assert set(history) == {
+        *("time", "step", "dt", "R_max", "R_995", "height", "unbalanced", "newton", "failed", "volume_ratio")
+    }
 
     times = results.times
     assert times[0] == 0.0 and times[-1] == summary["sim_time"]

@@ -119,6 +119,30 @@ def test_regularisation_moves_the_front_by_less_than_three_per_cent(changed):
     assert collapse("column_0.5", "grid.cell=0.1", **changed)[1]["R_995"] == pytest.approx(reference, rel=0.03)
 
 
+@pytest.mark.slow
+def test_a_tall_column_leaves_no_void():
+    """lambda0 = 8 at 6 cells per r0: no empty cell between the base and the surface, the highest cell that is at least
+    half full, and in every ring the mean thickness lies below the highest point. Eq. 4 gives 2.147.
+    """
+    solver, measures = collapse("column_1", "geometry.aspect_ratio=8.0", f"grid.cell={1 / 6!r}", most=800)
+    cells = np.floor(solver.x / solver.cell).astype(int)
+    count = np.zeros(cells.max(axis=0) + 1, int)
+    np.add.at(count, tuple(cells.T), 1)
+    half_full = count >= 4
+    top = np.where(half_full.any(axis=2), half_full.shape[2] - 1 - half_full[:, :, ::-1].argmax(axis=2), -1)
+    under = np.arange(count.shape[2]) <= top[:, :, None]
+    assert (count[under] > 0).all()
+    volume = np.zeros(top.shape)
+    np.add.at(volume, tuple(cells[:, :2].T), solver.state.volume * solver.state.jacobian.numpy())
+    highest = np.zeros(top.shape)
+    np.maximum.at(highest, tuple(cells[:, :2].T), solver.x[:, 2] + solver.cell / 4)
+    ring = np.floor(np.hypot(*(np.indices(top.shape) + 0.5))).astype(int)
+    for r in np.unique(ring[top >= 0]):
+        there = (ring == r) & (top >= 0)
+        assert volume[there].mean() / solver.cell**2 < highest[there].max(), r
+    assert measures["R_995"] == pytest.approx(2.147, rel=0.03)
+
+
 @pytest.mark.parametrize("cohesion", [5000, 1300])
 def test_a_cohesive_column_stands(cohesion):
     """Equilibrium within a handful of steps, and no collapse.
