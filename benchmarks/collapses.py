@@ -13,7 +13,6 @@ longest step (implicit) that is r % smaller. Rows that are there already are not
 import argparse
 import csv
 import itertools
-import math
 import multiprocessing
 import shlex
 import sys
@@ -48,12 +47,12 @@ def compute(job) -> dict:
     """The row of one case."""
     case, device, command = job
     from compare.hard.collapse import finish
-    from mpm.analytic import eq4
     from mpm.config import load_scene
     from mpm.devices import start_warp
     from mpm.errors import NumericalError
     from mpm.provenance import provenance
     from mpm.runout import run_out
+    from mpm.scene import theory
 
     start_warp()
     cell, less = 1.0 / float(case["cells"]), 1.0 - 0.01 * int(case["realisation"])
@@ -82,8 +81,7 @@ def compute(job) -> dict:
             row |= run_out(run.x - [shift[0], shift[1], 0.0], run.body.measure)
     except NumericalError as error:
         row = {"stop_reason": str(error).splitlines()[0], "wall_s": time.perf_counter() - started}
-    scene = load_scene("column_1", settings)
-    row["eq4"] = float(eq4(float(case["lambda0"]), math.tan(math.radians(scene.material.friction_angle))))
+    row |= theory(load_scene("column_1", settings))
     machine = provenance(device, case["precision"])
     return case | {key: row.get(key, "") for key in FIGURES} | {key: machine[key] for key in MACHINE} | command
 

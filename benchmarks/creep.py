@@ -1,6 +1,6 @@
 """How far a quasistatic heap creeps while what is out of balance falls: R_995 of the implicit solver at each level.
 
-    python benchmarks/creep.py --lambda0 0.5 1 --cells 8 16 --out benchmarks/results/implicit_creep_cpu.csv
+python benchmarks/creep.py --lambda0 0.5 1 --cells 8 16 --out benchmarks/results/implicit_creep_cpu.csv
 """
 
 import argparse

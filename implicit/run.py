@@ -111,7 +111,7 @@ class ImplicitRun(Run):
         row |= {"unbalanced": solver.unbalanced_ratio, "newton": newton, "failed": failed}
         row["volume_ratio"] = float(solver.state.jacobian.numpy().mean())
         self.add_row(row)
-        if wrong := self.misplaced(row["volume_ratio"]):
+        if wrong := self.misplaced(self.x, row["volume_ratio"]):
             raise NumericalError(f"diverged at step {solver.steps}: {wrong}")
         return row
 
@@ -140,7 +140,7 @@ class ImplicitRun(Run):
 
     def state_is_whole(self, _error: NumericalError) -> bool:
         """Points move only once Newton has succeeded; where they ended may be no result."""
-        return not self.misplaced(self.last_row["volume_ratio"])
+        return not self.misplaced(self.x, self.last_row["volume_ratio"])
 
     def write_grid(self):
         """vtk/background.xdmf: the background mesh and the last step's displacement increment."""

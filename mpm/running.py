@@ -139,14 +139,14 @@ class Run:
         """How far [m] from the origin a point can be."""
         return FARTHEST * (self.body.measure.reference + self.body.height + np.abs(self.body.x).max())
 
-    def misplaced(self, volume_ratio: float) -> str:
-        """Why points and their volume, `volume_ratio` of the initial one, can be no result; "" where they may be."""
-        walls, at = self.body.walls, self.x / self.body.scene.grid.cell
+    def misplaced(self, x: np.ndarray, volume_ratio: float) -> str:
+        """Why points `x` (n, 3) [m], of `volume_ratio` of the initial volume, are no result; "" where they may be."""
+        walls, at = self.body.walls, x / self.body.scene.grid.cell
         beyond = np.maximum(np.array(walls.low) - at, at - np.array(walls.high)).max(axis=1)
         remedy = "a smaller grid.cell or stiffer material may hold it"
         if beyond.max() > MOST_BEYOND:
             point = int(beyond.argmax())
-            return f"point {point} lies {beyond[point]:.2g} cells beyond a wall, at x = {self.x[point]} m; {remedy}"
+            return f"point {point} lies {beyond[point]:.2g} cells beyond a wall, at x = {x[point]} m; {remedy}"
         constants, (low, high) = self.body.constants, VOLUME_RANGE
         if constants.plastic and constants.eta_bar == 0.0 and not low <= volume_ratio <= high:
             return f"volume is {volume_ratio:.3g} of the initial one ({low} to {high} allowed); {remedy}"
@@ -245,7 +245,7 @@ class Run:
 
     def summary(self) -> dict:
         """What `summary.json` holds; run-outs are (r - r0)/r0 (see `mpm.runout`), lengths in m, times in s."""
-        solver, scene, wall, makers = self.solver, self.body.scene, self._wall(), self.field_makers()
+        solver, scene, wall, makers, x = self.solver, self.body.scene, self._wall(), self.field_makers(), self.x
         return {
             "mode": self.mode,
             "scene": scene.name,
@@ -258,8 +258,8 @@ class Run:
             "wall_s": wall,
             "setup_s": self.setup_s,
             "stop_reason": self.stop_reason,
-            **run_out(self.x, self.body.measure),
-            **packing(self.x, makers["volume"](), makers["pressure"](), self.body),
+            **run_out(x, self.body.measure),
+            **packing(x, makers["volume"](), makers["pressure"](), self.body),
             "peak_memory_mb": self.memory_mb(),
             "point_steps_per_s": solver.points * solver.steps / wall,
             **theory(scene),
