@@ -6,7 +6,7 @@
     python benchmarks/collapses.py means benchmarks/results/NAME.csv ...
 
 `--realisations` k shows what round-off and small changes do: k runs, the r-th with a Courant number (explicit) or a
-longest step (implicit) that is r % smaller. Rows that are there already are not run again. Seconds are clean where
+longest step (implicit) that is r % smaller; where `--set grid.scatter=S` starts points at random places, with others. Rows that are there already are not run again. Seconds are clean where
 `--jobs` is 1 and nothing else runs.
 """
 
@@ -63,10 +63,13 @@ def compute(job) -> dict:
         *case["settings"].split(),
     ]
     changed = {key: float(value) for key, value in (item.split("=") for item in case["regularisation"].split())}
+    if "grid.scatter=" in case["settings"]:
+        settings.append(f"grid.realisation={case['realisation']}")
+        less = 1.0
     if case["mode"] == "explicit":
         settings += [f"explicit.damping={case['damping']}", f"explicit.precision={case['precision']}"]
-        settings += [f"explicit.cfl={0.5 * less!r}"] if int(case["realisation"]) else []
-    elif int(case["realisation"]):
+        settings += [f"explicit.cfl={0.5 * less!r}"] if less < 1 else []
+    elif less < 1:
         from implicit.relaxation import Regularisation
 
         changed["cap"] = changed.get("cap", Regularisation().cap) * less

@@ -90,6 +90,8 @@ class Grid(Section):
         "material",
         description="material: the grid follows the points; paper: rollers at x, y = 4 h0 as in Table 1",
     )
+    scatter: float = quantity("-", "share of their spacing within which points start at random places", 0.0, ge=0, le=1)
+    realisation: int = quantity("-", "which of the random starts, where scatter > 0", 0, ge=0)
 
 
 class Material(Section):

@@ -46,6 +46,17 @@ def seed(geometry: Column | Box | Mesh, cell: float) -> Seeds:
     return Seeds(x, float(np.hypot(vertices[:, 0], vertices[:, 1]).max()), float(vertices[:, 2].max()))
 
 
+def scattered(seeds: Seeds, spacing: float, share: float, realisation: int) -> Seeds:
+    """Move each point at random, evenly within `share` [-] of its `spacing` [m] along each axis; none leaves the part
+    of a cell that it stands for. The same `realisation` gives the same points.
+
+    A collapse stretches the lattice sixfold near the axis of a tall column: its points then stand in stacks with empty
+    cells between them, which random places do not (benchmarks/results/scatter_cpu.csv).
+    """
+    offset = np.random.default_rng(realisation).uniform(-0.5, 0.5, seeds.x.shape)
+    return seeds._replace(x=seeds.x + share * spacing * offset)
+
+
 def _column(column: Column, spacing: float) -> np.ndarray:
     count = int(np.ceil(column.radius / spacing))
     one_side = (np.arange(count) + 0.5) * spacing

@@ -7,7 +7,7 @@ import numpy as np
 from mpm.analytic import eq4, eq45
 from mpm.config import Box, Column, Scene
 from mpm.drucker_prager import Constants
-from mpm.geometry import Seeds, seed
+from mpm.geometry import Seeds, scattered, seed
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 from mpm.lattice import Walls, walls_of
 from mpm.runout import Measure
@@ -39,7 +39,10 @@ def build(scene: Scene, seeds: Seeds | None = None) -> Body:
     Raises SceneError for geometry that cannot be seeded.
     """
     cell = scene.grid.cell
-    seeds = seeds or seed(scene.geometry, cell)
+    if seeds is None:
+        seeds = seed(scene.geometry, cell)
+        if scene.grid.scatter > 0:
+            seeds = scattered(seeds, 0.5 * cell, scene.grid.scatter, scene.grid.realisation)
     axes = (0,) if isinstance(scene.geometry, Box) else (0, 1)
     measure = Measure(axes, seeds.reference, HALF_LENGTH_IN_CELLS * cell, cell)
     constants = scene.material.constants()

@@ -4,6 +4,7 @@ Columns are coarse, so that all of it is affordable; explicit runs at D = 0.05 u
 """
 
 import time
+from dataclasses import replace
 from functools import cache
 from tempfile import TemporaryDirectory
 
@@ -15,7 +16,6 @@ from mpm.analytic import eq45
 from mpm.config import load_scene
 from mpm.devices import find_device
 from mpm.errors import NumericalError
-from mpm.geometry import seed
 from mpm.results import Results
 from mpm.running import Run
 from mpm.scene import build
@@ -39,8 +39,8 @@ def finish(
     """
     resolved = load_scene(scene, [*settings, "output.every=1000.0", "output.vtk=false"])
     place = find_device(device)
-    seeds = seed(resolved.geometry, resolved.grid.cell)
-    body = build(resolved, seeds._replace(x=_turned(seeds.x, turned) + np.array(shifted)))
+    body = build(resolved)
+    body = replace(body, x=_turned(body.x, turned) + np.array(shifted))
     with TemporaryDirectory() as folder:
         results = Results.create(folder, resolved.model_dump(mode="json"), {})
         run = ExplicitRun(body, results, place) if mode == "explicit" else _implicit_run(body, results, regularisation)

@@ -8,8 +8,9 @@ import pytest
 
 from mpm.config import Box, Column, Mesh, load_scene
 from mpm.errors import SceneError
-from mpm.geometry import seed
+from mpm.geometry import Seeds, seed
 from mpm.lattice import FIXED, FREE, NOWHERE, ROLLER, walls_of
+from mpm.scene import build
 
 CELL = 0.1
 SPACING = CELL / 2
@@ -80,6 +81,36 @@ def test_every_centre_within_the_radius_is_taken():
 def test_layers_are_those_whose_centres_lie_below_the_top(aspect_ratio, layers):
     z = seed(column(aspect_ratio=aspect_ratio), CELL).x[:, 2]
     np.testing.assert_allclose(np.unique(z.round(9)), (np.arange(layers) + 0.5) * SPACING)
+
+
+# Random places
+
+
+def test_scattered_points_stay_in_their_part_of_a_cell_and_fill_it_evenly():
+    body = build(load_scene("column_small", ["grid.scatter=0.5"]))
+    lattice = build(load_scene("column_small")).x
+    spacing = 0.5 * body.scene.grid.cell
+    offset = (body.x - lattice) / spacing
+    assert np.abs(offset).max() <= 0.25
+    # even within +-1/4: mean 0, standard deviation 1/2 over sqrt(12), each to four standard errors
+    error = 4 / np.sqrt(offset.size)
+    assert abs(offset.mean()) < error * 0.5 / np.sqrt(12)
+    assert offset.std() == pytest.approx(0.5 / np.sqrt(12), rel=error)
+
+
+def test_a_realisation_can_be_had_again_and_another_is_another():
+    first, again, other = (
+        build(load_scene("column_small", ["grid.scatter=1", f"grid.realisation={which}"])).x for which in (3, 3, 4)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert np.abs(first - other).max() > 0.01
+
+
+def test_a_resumed_run_does_not_scatter_its_points_again():
+    """It starts from the points that the run kept."""
+    scene = load_scene("column_small", ["grid.scatter=1"])
+    x = build(scene).x
+    np.testing.assert_array_equal(build(scene, Seeds(x, 1.0, 0.5)).x, x)
 
 
 # Boxes
