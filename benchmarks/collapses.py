@@ -6,8 +6,8 @@
     python benchmarks/collapses.py means benchmarks/results/NAME.csv ...
 
 `--realisations` k shows what round-off and small changes do: k runs, the r-th with a Courant number (explicit) or a
-longest step (implicit) that is r % smaller; where `--set grid.scatter=S` starts points at random places, with others. Rows that are there already are not run again. Seconds are clean where
-`--jobs` is 1 and nothing else runs.
+longest step (implicit) that is r % smaller; where `--set grid.scatter=S` starts points at random places, with others.
+Rows that are there already are not run again. Seconds are clean where `--jobs` is 1 and nothing else runs.
 """
 
 import argparse
