@@ -183,6 +183,8 @@ def validate(
     adaptive = resolved.explicit.cfl * resolved.grid.cell / body.constants.p_wave_speed
     dt = resolved.explicit.time_step or adaptive
     out.print(f"{resolved.name}: valid. {len(body.x):,} points, cell {resolved.grid.cell:g} m")
+    for line in body.fit.lines() if body.fit else ():
+        out.print(line)
     out.print(f"first time step {dt:.4g} s, time scale sqrt(h0/g) = {body.time_scale:.4g} s")
     run_outs = [f"{key} = {value:.4f}" for key, value in theory(resolved).items() if value is not None]
     if run_outs:

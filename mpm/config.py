@@ -76,11 +76,21 @@ class Box(Section):
 
 
 class Mesh(Section):
-    """Body read from a closed surface or volume mesh (any format meshio reads), standing on z = 0."""
+    """Body read from a mesh file (`mpm.mesh_file`), surface or volume cells: its coordinates times unit plus offset."""
 
     shape: Literal["mesh"] = Field(description="geometry: column, box or mesh")
     file: str = Field(description="mesh file, relative to the scene file")
     symmetry: Symmetry = Field("full", description="part of the body that is computed")
+    unit: Literal["m", "cm", "mm"] = Field("m", description="unit of the file's coordinates")
+    offset: tuple[float, float, float] = quantity(
+        "m",
+        "added to the file's coordinates",
+        (0.0, 0.0, 0.0),
+        strict=False,  # TOML has lists, no tuples
+    )
+    base: Literal["floor", "as_is"] = Field(
+        "floor", description="floor: the body must stand on z = 0; as_is: it may start above it"
+    )
 
 
 class Grid(Section):

@@ -38,7 +38,8 @@ def reopen(directory) -> Results:
 
 def body_of(results: Results) -> Body:
     """The body that a run started from, without its mesh file, which may be gone by now."""
-    seeds = Seeds(results.read_static("x0"), *results.read_static("extent"))
+    reference, height, *axis = results.read_static("extent")  # earlier versions wrote no axis: it was x = y = 0
+    seeds = Seeds(results.read_static("x0"), reference, height, tuple(axis) or (0.0, 0.0))
     try:
         return build(parse_scene(results.scene), seeds)
     except SceneError as error:
@@ -120,7 +121,8 @@ class Run:
     def begin(self):
         """The body's initial shape, first history row, snapshot and checkpoint, before any step."""
         self.results.write_static("x0", self.body.x)
-        self.results.write_static("extent", np.array([self.body.measure.reference, self.body.height]))
+        measure = self.body.measure
+        self.results.write_static("extent", np.array([measure.reference, self.body.height, *measure.axis]))
         self.first_row()
         self.write_snapshot()
         self.save(self.state())

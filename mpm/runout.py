@@ -15,25 +15,27 @@ class Measure:
     """How a body's run-out is measured.
 
     `axes`: coordinates that make the distance (x and y: radius from the axis; x alone: plane strain).
-    `reference` r0 [m]: initial radius or length; `half_length` [m] of a point; `cell` [m].
+    `reference` r0 [m]: initial radius or length; `half_length` [m] of a point; `cell` [m]. `axis` (x, y) [m]: where the
+    vertical axis, or the plane x = const, stands.
     """
 
     axes: tuple[int, ...]
     reference: float
     half_length: float
     cell: float
+    axis: tuple[float, float] = (0.0, 0.0)
 
     def distance(self, x):
-        """Distance [m] of points `x` (n, 3) from the axis or plane of symmetry."""
-        return np.linalg.norm(np.asarray(x, float)[:, self.axes], axis=1)
+        """Distance [m] of points `x` (n, 3) from the axis or plane."""
+        return np.linalg.norm((np.asarray(x, float)[:, :2] - self.axis)[:, self.axes], axis=1)
 
     def runout(self, distance):
         """(r - r0)/r0 [-]."""
         return float((distance - self.reference) / self.reference)
 
 
-def connected(x, cell):
-    """Mask (n,) of the points in the component nearest the axis.
+def connected(x, cell, axis=(0.0, 0.0)):
+    """Mask (n,) of the points in the component nearest the vertical `axis` (x, y) [m].
 
     Points belong together when their cells touch, corners included: then their uGIMP domains share nodes.
     """
@@ -41,7 +43,7 @@ def connected(x, cell):
     pairs = cKDTree(cells).query_pairs(1.0, p=np.inf, output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(cells), len(cells)))
     label = connected_components(links, directed=False)[1]
-    centre = np.argmin(np.hypot(cells[:, 0] + 0.5, cells[:, 1] + 0.5))
+    centre = np.argmin(np.linalg.norm(cells[:, :2] + 0.5 - np.divide(axis, cell), axis=1))
     return (label == label[centre])[np.ravel(cell_of)]
 
 
@@ -65,7 +67,7 @@ def run_out(x, measure: Measure) -> dict[str, float]:
     R_connected: farthest point (plus half-length) of the component connected to the axis; h_inf: that
     component's top.
     """
-    body = np.asarray(x)[connected(x, measure.cell)]
+    body = np.asarray(x)[connected(x, measure.cell, measure.axis)]
     return {
         **{key: value for key, value in front(x, measure).items() if key != "height"},
         "R_connected": measure.runout(measure.distance(body).max() + measure.half_length),

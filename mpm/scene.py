@@ -7,6 +7,7 @@ import numpy as np
 from mpm.analytic import eq4, eq45
 from mpm.config import Box, Column, Scene
 from mpm.drucker_prager import Constants
+from mpm.fit import Fit
 from mpm.geometry import Seeds, scattered, seed
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 from mpm.lattice import Walls, walls_of
@@ -15,7 +16,8 @@ from mpm.runout import Measure
 
 @dataclass(frozen=True)
 class Body:
-    """Initial state of a scene: `x` (n, 3) [m], `point_volume` [m3], `point_mass` [kg], all points alike."""
+    """Initial state of a scene: `x` (n, 3) [m], `point_volume` [m3], `point_mass` [kg], all points alike; `fit`: its
+    points held against the body of a mesh file, None where there is none."""
 
     scene: Scene
     x: np.ndarray
@@ -25,6 +27,7 @@ class Body:
     walls: Walls
     measure: Measure
     height: float
+    fit: Fit | None = None
 
     @property
     def time_scale(self) -> float:
@@ -44,7 +47,7 @@ def build(scene: Scene, seeds: Seeds | None = None) -> Body:
         if scene.grid.scatter > 0:
             seeds = scattered(seeds, 0.5 * cell, scene.grid.scatter, scene.grid.realisation)
     axes = (0,) if isinstance(scene.geometry, Box) else (0, 1)
-    measure = Measure(axes, seeds.reference, HALF_LENGTH_IN_CELLS * cell, cell)
+    measure = Measure(axes, seeds.reference, HALF_LENGTH_IN_CELLS * cell, cell, seeds.axis)
     constants = scene.material.constants()
     volume = (0.5 * cell) ** 3
     return Body(
@@ -56,6 +59,7 @@ def build(scene: Scene, seeds: Seeds | None = None) -> Body:
         walls=walls_of(scene),
         measure=measure,
         height=seeds.height,
+        fit=seeds.fit,
     )
 
 

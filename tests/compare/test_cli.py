@@ -306,7 +306,7 @@ def write_cube(path, faces=12):
 
 def test_missing_mesh_file(refused, tmp_path):
     (tmp_path / "scene.toml").write_text(MESH_SCENE)
-    assert f"no mesh file at {tmp_path / 'body.stl'}" in refused("run", "scene.toml")
+    assert f"geometry.file = {tmp_path / 'body.stl'}: there is no such file" in refused("run", "scene.toml")
 
 
 def test_open_surface_mesh(refused, tmp_path):
@@ -323,6 +323,15 @@ def test_closed_surface_mesh_runs(repose, tmp_path):
     write_cube(tmp_path / "body.stl")
     assert repose("run", "scene.toml").code == 0
     assert json.loads((tmp_path / "runs/body-explicit/summary.json").read_text())["points"] == 8**3
+
+
+def test_validate_holds_a_mesh_bodys_points_against_it(repose, tmp_path):
+    (tmp_path / "scene.toml").write_text(MESH_SCENE)
+    write_cube(tmp_path / "body.stl")
+    said = repose("validate", "scene.toml").out
+    assert "points fill 1 m3, the mesh encloses 1 m3: +0.0%" in said
+    assert "body (0, 0, 0) to (1, 1, 1) m, points (0, 0, 0) to (1, 1, 1) m, lowest point z = 0 m" in said
+    assert "off the lattice by 0, 0, 0 of a spacing" in said
 
 
 def test_output_folder_that_cannot_be_made(refused, tmp_path):

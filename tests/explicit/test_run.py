@@ -10,6 +10,7 @@ from mpm.config import load_scene
 from mpm.devices import find_device
 from mpm.errors import NumericalError, SceneError
 from mpm.results import Results
+from mpm.running import body_of
 from mpm.scene import build
 
 COARSE = ["grid.cell=0.25", "explicit.until=0.3", "output.every=0.1"]
@@ -116,6 +117,14 @@ def test_a_mesh_run_resumes_without_its_mesh_file(tmp_path):
     steps_until(part, 0.15)
     mesh.unlink()
     assert resume(tmp_path / "run")["sim_time"] == pytest.approx(0.3)
+
+
+def test_a_reopened_mesh_run_is_measured_about_the_same_axis(tmp_path):
+    mesh = Path(__file__).parents[2] / "meshes" / "cylinder.stl"
+    part = started(tmp_path, f"geometry={{shape='mesh', file='{mesh}', offset=[3.0, -2.0, 0.0]}}")
+    assert body_of(part.results).measure == part.body.measure
+    assert part.body.measure.axis == pytest.approx((3.0, -2.0), abs=1e-3)
+    assert part.body.measure.reference == pytest.approx(1.0, abs=2e-3)
 
 
 def test_a_point_under_the_floor_stops_the_run_by_name(tmp_path):

@@ -138,6 +138,18 @@ def test_plane_strain_counts_the_distance_along_x_only():
     assert run_out(block, RADIAL)["R_max"] > found["R_max"] + 0.1
 
 
+def test_a_body_away_from_the_origin_is_measured_about_its_own_axis():
+    """Moved by whole cells: the same figures, and the component nearest the axis, not the origin, is the body."""
+    shift = np.array([40 * CELL, -60 * CELL, 0.0])
+    moved = Measure((0, 1), R0, HALF_LENGTH, CELL, axis=(shift[0], shift[1]))
+    at_origin = np.concatenate([CLUSTER + np.array([0.1, 0.1, 0.0]), CYLINDER + shift])
+    assert run_out(CYLINDER + shift, moved) == pytest.approx(run_out(CYLINDER, RADIAL), abs=1e-9)
+    assert run_out(at_origin, moved)["h_inf"] == pytest.approx(0.5)
+    np.testing.assert_array_equal(
+        connected(at_origin, CELL, (shift[0], shift[1])), np.arange(len(at_origin)) >= len(CLUSTER)
+    )
+
+
 def test_points_on_both_sides_of_the_axis_count_alike():
     mirrored = np.concatenate([CYLINDER, CYLINDER * [-1, 1, 1], CYLINDER * [1, -1, 1], CYLINDER * [-1, -1, 1]])
     quarter, full = run_out(CYLINDER, RADIAL), run_out(mirrored, RADIAL)
