@@ -8,7 +8,7 @@ from compare.batch import Job, Outcome, run_all
 from compare.checks import quasistatic_checks
 from compare.drawing import has_eq4, tan_theta
 from compare.figures import draw_cost, draw_histories, draw_plan_and_section, draw_profiles, strain_limit
-from compare.metrics import deposit, eq4_profile, profile, profile_distance
+from compare.metrics import axis_of, deposit, eq4_profile, profile, profile_distance
 from compare.report import refuse_another, write_table
 from compare.sections import (
     WHAT_MEASURES_MEAN,
@@ -124,7 +124,7 @@ def _label(outcome: Outcome) -> str:
 
 def _distances(fine: dict[str, Outcome], scene: dict) -> dict[str, float]:
     """L1 distance between the profiles of the runs on the scene's own grid, and from Eq. 4's solid."""
-    profiles = {mode: profile(one.results.snapshot(-1)["x"], scene) for mode, one in fine.items()}
+    profiles = {mode: profile(one.results.snapshot(-1)["x"], scene, axis_of(one.results)) for mode, one in fine.items()}
     found = {}
     if len(profiles) == 2:
         found["implicit from explicit"] = profile_distance(profiles["implicit"], profiles["explicit"])

@@ -71,10 +71,12 @@ def colour_values(x, x0, snapshot):
     return np.linalg.norm(x - x0, axis=1), "displacement [m]"
 
 
-def draw_section(axes, x, x0, values, cell, half, colours):
-    """Points within one cell of the plane y = 0 or, for a body off it, of the first one that meets it."""
-    nearest = x0[np.argmin(np.abs(x0[:, 1])), 1]
-    middle = 0.0 if abs(nearest) < cell else nearest
+def draw_section(axes, x, x0, values, cell, half, colours, axis):
+    """Points within one cell of a plane y = const through the initial body's top: of its highest points the one
+    nearest the `axis` (x, y) [m] gives the plane, or the axis itself where that is less than a cell away."""
+    tops = x0[x0[:, 2] > x0[:, 2].max() - half, 1]
+    nearest = tops[np.argmin(np.abs(tops - axis[1]))]
+    middle = axis[1] if abs(nearest - axis[1]) < cell else nearest
     inside, inside0 = (np.abs(points[:, 1] - middle) < cell for points in (x, x0))
     outline_hull = hull(x0[inside0][:, [0, 2]], half)
     outline = outline_hull.points[np.append(outline_hull.vertices, outline_hull.vertices[0])]

@@ -25,7 +25,7 @@ from compare.drawing import (
     tan_theta,
 )
 from compare.experiments import experiments
-from compare.metrics import half_length, profile
+from compare.metrics import axis_of, half_length, profile
 from mpm.analytic import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, quasistatic_profile
 
 WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
@@ -59,7 +59,7 @@ def draw_profiles(outcomes, labels, path) -> Path:
 
 
 def draw_plan_and_section(outcome, title, path, most) -> Path:
-    """The deposit from above and cut along y = 0, coloured by plastic strain up to `most` (None: its 98 % quantile)."""
+    """The deposit from above and cut through its top; colour: plastic strain up to `most` (None: its 98 % quantile)."""
     results = outcome.results
     last, x0, scene = last_snapshot(results), results.read_static("x0"), results.scene
     x, cell, half = last["x"], scene["grid"]["cell"], half_length(scene)
@@ -83,7 +83,7 @@ def draw_plan_and_section(outcome, title, path, most) -> Path:
         plan.scatter(*x[order, :2].T, c=values[order], s=size, marker="s", **colours)
         plan.set(xlabel="x [m]", ylabel="y [m]")
         plan.set_title(f"{title}, from above", loc="left", weight="bold")
-        points = draw_section(section, x, x0, values, cell, half, colours)
+        points = draw_section(section, x, x0, values, cell, half, colours, axis_of(results))
         bar = figure.add_axes((0.13, 0.5 / height, 0.84, 0.1 / height))
         figure.colorbar(points, cax=bar, orientation="horizontal", extend="max", label=label)
         bar.grid(False)

@@ -9,11 +9,10 @@ import numpy as np
 
 from mpm.analytic import eq4
 from mpm.errors import SceneError
+from mpm.geometry import SHARE
 from mpm.results import Results
 from mpm.runout import Measure, run_out
 
-# The part of the full circle that the scene holds.
-SECTOR = {"full": 1.0, "half": 0.5, "quarter": 0.25}
 FLANK = (0.10, 0.85)  # thickness over the greatest one, between which a ring counts as flank
 
 
@@ -41,15 +40,23 @@ class Profile:
         return float(self.thickness @ self.area)
 
 
-def profile(x, scene: dict) -> Profile:
+def axis_of(results: Results) -> np.ndarray:
+    """Where the vertical axis (x, y) [m] stands that run-outs of this run are measured about."""
+    return np.append(results.read_static("extent"), [0.0, 0.0])[2:4]  # earlier versions wrote no axis: it was x = y = 0
+
+
+def profile(x, scene: dict, axis=(0.0, 0.0)) -> Profile:
     """Profile of points `x` (n, 3) [m] on rings (box: strips) one cell wide, from the axis to the farthest point.
+
+    `axis` (x, y) [m]: where the vertical axis stands (see `axis_of`).
 
     Each point counts with its initial volume, that is its mass over the initial density: the profile says where
     the mass is and holds all of it, however much the deposit has swollen.
     """
     # A point stands for its domain: as four quarters in plan it errs three times less where rings cut the lattice.
     quarter = half_length(scene) / 2 * np.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
-    ring, edges = _rings((np.asarray(x, float)[:, None] + quarter).reshape(-1, 3), scene)
+    about_axis = np.asarray(x, float) - [*axis, 0.0]
+    ring, edges = _rings((about_axis[:, None] + quarter).reshape(-1, 3), scene)
     power, scale = _area_within(scene)
     volume = np.bincount(ring) * _point_volume(scene) / len(quarter)
     return Profile(edges, volume / (scale * np.diff(edges**power)), power, scale)
@@ -129,14 +136,14 @@ def deposit(results: Results) -> dict[str, float | None]:
     scene, last = results.scene, results.snapshot(-1)
     x = last["x"].astype(float)  # from single precision, whose sums over all points are coarse
     axes = (0,) if scene["geometry"]["shape"] == "box" else (0, 1)
-    reference = results.read_static("extent")[0]
-    measure = Measure(axes, reference, half_length(scene), scene["grid"]["cell"])
+    reference, axis = results.read_static("extent")[0], axis_of(results)
+    measure = Measure(axes, reference, half_length(scene), scene["grid"]["cell"], tuple(axis))
     volume_error = None
     if "volume" in last:
         volume_error = float(last["volume"].astype(float).sum() / (len(x) * _point_volume(scene)) - 1.0)
     return {
         **run_out(x, measure),
-        "flank_angle": flank_angle(profile(x, scene)),
+        "flank_angle": flank_angle(profile(x, scene, axis)),
         "centre_height": float(x[:, 2].mean()),
         "volume_error": volume_error,
     }
@@ -157,7 +164,7 @@ def _area_within(scene):
     geometry = scene["geometry"]
     if geometry["shape"] == "box":
         return 1, geometry["size"][1]
-    return 2, SECTOR[geometry["symmetry"]] * np.pi
+    return 2, SHARE[geometry["symmetry"]] * np.pi
 
 
 def _thickness_between(edges, profile):

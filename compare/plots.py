@@ -30,7 +30,7 @@ from compare.drawing import (
     styled,
     tan_theta,
 )
-from compare.metrics import half_length, highest, profile
+from compare.metrics import axis_of, half_length, highest, profile
 from implicit.relaxation import REST_UNBALANCED
 from mpm.analytic import eq4, quasistatic_profile
 from mpm.errors import SceneError
@@ -69,7 +69,7 @@ def plot_morphology(results: Results, path) -> Path:
         view = figure.add_axes((0.0, 0.05, 0.5, 0.92), projection="3d", computed_zorder=False)
         section = figure.add_axes((0.58, 0.13, 0.31, 0.74), anchor="W")
         _draw_view(view, x, x0, values, cell, half, colours)
-        points = draw_section(section, x, x0, values, cell, half, colours)
+        points = draw_section(section, x, x0, values, cell, half, colours, axis_of(results))
         scale = figure.add_axes((0.925, 0.13, 0.014, 0.74))
         figure.colorbar(points, cax=scale, label=label, extend="max")
         scale.grid(False)

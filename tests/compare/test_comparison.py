@@ -194,6 +194,7 @@ def test_distance_from_eq4_counts_its_volume_beyond_a_deposit_that_stops_short(t
     scene = load_scene("column_0.5").model_dump(mode="json")
     x = build(load_scene("column_0.5")).x
     run = Results.create(tmp_path / "run", scene, {})
+    run.write_static("extent", np.array([1.0, 0.5, 0.0, 0.0]))
     run.write_snapshot(0.0, 0, {"x": x.astype(np.float32)})
     found = _distances({"explicit": Outcome(None, run.directory, {}, None)}, scene)["explicit from Eq. 4"]
     r = np.linspace(0.0, 1.5, 30001)

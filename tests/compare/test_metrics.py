@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq
 
-from compare.metrics import Profile, deposit, eq4_profile, flank_angle, highest, profile, profile_distance
+from compare.metrics import Profile, axis_of, deposit, eq4_profile, flank_angle, highest, profile, profile_distance
 from mpm.analytic import eq4, quasistatic_profile
 from mpm.errors import SceneError
 from mpm.results import Results
@@ -63,10 +63,10 @@ def on_rings(edges, thickness):
     return Profile(np.array(edges, float), np.array(thickness, float), 2, np.pi)
 
 
-def store(directory, scene, x, reference=1.0, **fields):
+def store(directory, scene, x, reference=1.0, axis=(0.0, 0.0), **fields):
     """A run whose one snapshot, in single precision as a run writes it, holds `x` and `fields`."""
     run = Results.create(directory, scene, {})
-    run.write_static("extent", np.array([reference, 1.0]))
+    run.write_static("extent", np.array([reference, 1.0, *axis]))
     run.write_snapshot(1.0, 10, {name: value.astype(np.float32) for name, value in {"x": x, **fields}.items()})
     return run
 
@@ -270,6 +270,26 @@ def test_deposit_of_a_cone(tmp_path):
     assert found["volume_error"] is None
     elsewhere = deposit(store(tmp_path / "narrow", column(radius=0.5), x, reference=0.5))
     assert 1.0 + elsewhere["R_max"] == pytest.approx(2 * (1.0 + found["R_max"]))
+
+
+def test_deposit_of_a_mesh_is_measured_about_its_axis(tmp_path):
+    """A cone far from the origin: the same figures as at the origin."""
+    scene = column() | {"geometry": {"shape": "mesh", "file": "cone.stl", "symmetry": "full"}}
+    quarter = cone(CELL, 1.2)
+    x = np.concatenate([quarter * [sx, sy, 1] for sx in (-1, 1) for sy in (-1, 1)])
+    at_origin = deposit(store(tmp_path / "origin", scene, x))
+    away = deposit(
+        store(tmp_path / "away", scene, x + np.array([40 * CELL, -80 * CELL, 0.0]), axis=(40 * CELL, -80 * CELL))
+    )
+    assert away.pop("volume_error") is at_origin.pop("volume_error") is None
+    assert away == pytest.approx(at_origin, rel=1e-5)
+    assert away["R_max"] == pytest.approx(np.hypot(x[:, 0], x[:, 1]).max() + CELL / 4 - 1.0, rel=1e-5)
+
+
+def test_results_of_earlier_versions_have_their_axis_at_the_origin(tmp_path):
+    run = Results.create(tmp_path, column(), {})
+    run.write_static("extent", np.array([1.0, 0.5]))
+    np.testing.assert_array_equal(axis_of(run), [0.0, 0.0])
 
 
 def test_deposit_counts_the_volume_gained_and_takes_the_last_snapshot(tmp_path):

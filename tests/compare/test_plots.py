@@ -45,9 +45,10 @@ def eq4_deposit(x0):
     return x
 
 
-def store(directory, scene, x0, x, history=(), **fields):
+def store(directory, scene, x0, x, history=(), axis=(0.0, 0.0), **fields):
     run = Results.create(directory, scene, {})
     run.write_static("x0", x0)
+    run.write_static("extent", np.array([1.0, 1.0, *axis]))
     run.write_snapshot(2.0, 100, {"x": x, "displacement": x - x0, **fields})
     run.append_history(list(history))
     return run
@@ -143,13 +144,32 @@ def test_undeformed_and_one_point_thick_bodies_can_be_drawn(tmp_path):
     assert colours(plot_morphology(run, tmp_path / "picture.png"))[0] > 50
 
 
-def test_body_off_the_plane_y_0_is_cut_where_it_comes_nearest_to_it(tmp_path, monkeypatch):
+def test_flat_body_off_its_axis_is_cut_where_it_comes_nearest_to_it(tmp_path, monkeypatch):
     x0 = block((8, 8, 8), CELL / 2) + np.array([0.0, 5.0, 0.0])
     run = store(tmp_path / "run", scene("mesh"), x0, x0)
     figures = drawn(monkeypatch)
     plot_morphology(run, tmp_path / "picture.png")
     assert "y = 5.03 m" in figures[0].axes[1].get_title(loc="left")
     assert len(figures[0].axes[1].collections[0].get_offsets()) == 2 * 8 * 8
+
+
+@pytest.mark.parametrize(
+    ("top", "axis", "plane"),
+    [
+        ((0.5, 2.0), (0.5, 1.0), "y = 2.03 m"),  # a peak off the axis
+        ((0.5, 1.0), (0.5, 1.05), "y = 1.05 m"),  # one within a cell of it
+        (None, (0.5, 1.1), "y = 1.1 m"),  # a flat top: the axis
+    ],
+)
+def test_section_of_a_mesh_body_passes_through_its_top(tmp_path, monkeypatch, top, axis, plane):
+    x0 = block((8, 24, 4), CELL / 2)
+    if top:
+        tower = block((2, 2, 8), CELL / 2) + np.array([*top, 0.0])
+        x0 = np.unique(np.concatenate([x0, tower]).round(9), axis=0)
+    run = store(tmp_path / "run", scene("mesh"), x0, x0, axis=axis)
+    figures = drawn(monkeypatch)
+    plot_morphology(run, tmp_path / "picture.png")
+    assert plane in figures[0].axes[1].get_title(loc="left")
 
 
 def test_200_000_points_are_thinned_to_the_surface_and_drawn_in_time(tmp_path):
