@@ -9,23 +9,18 @@ import os
 import tomllib
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_origin
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from mpm.drucker_prager import CONES, Constants, dilatancy_slope, friction_cone
 from mpm.errors import SceneError
+from mpm.wording import explain, says_less, shown
 
 Wall = Literal["free", "roller", "fixed"]
 Symmetry = Literal["quarter", "half", "full"]
 FIELDS = ("displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume")
 MOST_POINTS = 1e9  # beyond this a length was meant in another unit; it would exhaust memory
-LONGEST_VALUE = 60  # characters of a rejected value that a message repeats
-# Keys of earlier versions, and why they are gone.
-RETIRED = {
-    "material.apex_memory": "what opens in tension always closes before pressure returns",
-    "explicit.pressure_averaging": "pressure is always averaged, as its law is at the nodes of the grid",
-}
 
 
 def quantity(unit: str, description: str, default: Any = ..., **bounds):
@@ -225,7 +220,7 @@ def load_scene(reference: str, overrides: list[str] = ()) -> Scene:
         try:
             geometry["file"] = str((folder / geometry["file"]).resolve())
         except (ValueError, OSError, RuntimeError) as error:  # a zero byte, a loop of links
-            raise SceneError(f"geometry.file = {_shown(geometry['file'])}: not a file name: {error}") from None
+            raise SceneError(f"geometry.file = {shown(geometry['file'])}: not a file name: {error}") from None
     return parse_scene(table)
 
 
@@ -234,7 +229,7 @@ def parse_scene(table: dict) -> Scene:
     try:
         scene = Scene.model_validate(table)
     except ValidationError as error:
-        problems = [_explain(item) for item in error.errors() if not _says_less(item)]
+        problems = [explain(item, Scene) for item in error.errors() if not says_less(item)]
         raise SceneError(problems) from None
     if scene.material.model == "elastic" and "fields" not in scene.output.model_fields_set:
         fields = tuple(name for name in scene.output.fields if name != "eps_p_eqv")
@@ -261,91 +256,6 @@ def _override(table: dict, item: str) -> str | None:
             return f"--set {item}: '{name}' is not a section"
     table[last] = value
     return None
-
-
-def _resolve(location: tuple) -> tuple[str, type[Section], Any]:
-    """Dotted key, the model that holds its last part, and that part's field (None if unknown)."""
-    model, field, keys = Scene, None, []
-    for part in location:
-        if field is not None and field.discriminator and part in ("column", "box", "mesh"):
-            model, field = {"column": Column, "box": Box, "mesh": Mesh}[part], None
-            continue
-        if isinstance(part, str) and (part in model.model_fields or field is None):
-            keys.append(part)
-            field = model.model_fields.get(part)
-            inner = getattr(field, "annotation", None)
-            if isinstance(inner, type) and issubclass(inner, Section):
-                model, field = inner, None if part != location[-1] else field
-        elif isinstance(part, int):
-            keys.append(str(part))
-    return ".".join(key if key.isprintable() else repr(key) for key in keys), model, field
-
-
-def _says_less(error: dict) -> bool:
-    """Whether this is the 'rest' half of "'rest' or a number": the other half's message names both."""
-    return str(error["loc"][-1]).startswith("literal[")
-
-
-def _shown(value) -> str:
-    """A rejected value as a message repeats it: short, whatever was in the file."""
-    try:
-        text = repr(value)
-    except ValueError:  # Python writes no integer of more than 4300 digits
-        return "(a very long number)"
-    return text if len(text) <= LONGEST_VALUE else text[:LONGEST_VALUE] + "..."
-
-
-def _accepted(field, error: dict) -> str:
-    """Accepted type, range or values and unit of a field, in words."""
-    kind, unit = error["type"], (getattr(field, "json_schema_extra", None) or {}).get("unit")
-    if kind == "string_pattern_mismatch":
-        words = "must consist of letters, digits, '.', '_' and '-'"
-    elif kind.startswith(("float", "finite", "greater", "less")):
-        alternatives, bounds = _choices(field)
-        number = "a number " if alternatives or kind.startswith("f") else ""
-        words = "must be " + " or ".join([*alternatives, number + " and ".join(bounds)])
-    else:
-        words = error["msg"].replace("Input should be", "must be").replace("Tuple", "the list").replace("tuple", "list")
-        words = words[0].lower() + words[1:]
-    return words + (f" [{unit}]" if unit else "")
-
-
-def _choices(field) -> tuple[list[str], list[str]]:
-    """What a number's field takes: words in place of a number ('rest'), and the bounds of the number."""
-    arms = get_args(field.annotation)  # the arms of a union, the elements of a tuple
-    words = [repr(word) for arm in arms if get_origin(arm) is Literal for word in get_args(arm)]
-    marks = list(field.metadata)
-    marks += [mark for arm in arms for inner in getattr(arm, "__metadata__", ()) for mark in inner.metadata]
-    symbols = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-    bounds = [
-        f"{symbol} {getattr(mark, name):g}" for mark in marks for name, symbol in symbols.items() if hasattr(mark, name)
-    ]
-    return words, list(dict.fromkeys(bounds))
-
-
-def _explain(error: dict) -> str:
-    """One problem in one line: key, value, accepted range and unit, or the nearest known key."""
-    location = error["loc"]
-    key, model, field = _resolve(location)
-    if error["type"] == "extra_forbidden" and key in RETIRED:
-        return f"{key}: no longer a key, delete it ({RETIRED[key]})"
-    if error["type"] == "extra_forbidden":
-        known, last = list(model.model_fields), str(location[-1])
-        near = difflib.get_close_matches(last, known, n=1, cutoff=0.5)
-        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
-        sections = [
-            name for name, its in Scene.model_fields.items() if last in getattr(its.annotation, "model_fields", ())
-        ]
-        if sections:
-            hint = f"it belongs in [{sections[0]}], as {sections[0]}.{last}"
-        return f"{key}: unknown key; {hint}"
-    if error["type"] == "missing":
-        about = f" ({field.description})" if field is not None and field.description else ""
-        return f"{key}: missing, and it has no default{about}"
-    if error["type"].startswith("union_tag"):
-        return f"{key}.shape: must be 'column', 'box' or 'mesh'"
-    accepted = f"must be a section, [{key}]" if error["type"].startswith("model") else _accepted(field, error)
-    return f"{key} = {_shown(error['input'])}: {accepted}"
 
 
 def _cross_checks(scene: Scene) -> list[str]:

@@ -8,7 +8,7 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from mpm import config
+from mpm import config, wording
 from mpm.config import Scene, load_scene, parse_scene, preset_names
 from mpm.errors import SceneError
 
@@ -444,7 +444,7 @@ def test_initial_stress_is_left_to_the_solver_unless_given():
     assert load_scene("self_weight").loads.initial_stress == "none"
 
 
-@pytest.mark.parametrize("name", sorted(config.RETIRED))
+@pytest.mark.parametrize("name", sorted(wording.RETIRED))
 def test_a_retired_key_is_no_key(name):
     section, key = name.split(".")
     assert key not in Scene.model_fields[section].annotation.model_fields
