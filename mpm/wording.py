@@ -5,6 +5,9 @@ from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
 
+# An unknown key is taken for a slip of the pen of a known one that is as long but for so many letters, and as like to
+# it (`difflib`'s ratio): "poison" is, at 0.92, "basal_friction" for friction_angle is not, at 0.57.
+SLIP_LETTERS, SLIP_LIKENESS = 2, 0.8
 LONGEST_VALUE = 60  # characters of a rejected value that a message repeats
 # Keys of earlier versions, and why they are gone.
 RETIRED = {
@@ -24,8 +27,8 @@ def explain(error: dict, scene: type[BaseModel]) -> str:
         return f"{key}: no longer a key, delete it ({RETIRED[key]})"
     if error["type"] == "extra_forbidden":
         known, last = list(model.model_fields), str(location[-1])
-        near = difflib.get_close_matches(last, known, n=1, cutoff=0.5)
-        hint = f"did you mean '{near[0]}'?" if near else f"known here: {', '.join(known)}"
+        near = _meant(last, known)
+        hint = f"did you mean '{near}'?" if near else f"known here: {', '.join(known)}"
         sections = [
             name for name, its in scene.model_fields.items() if last in getattr(its.annotation, "model_fields", ())
         ]
@@ -39,6 +42,15 @@ def explain(error: dict, scene: type[BaseModel]) -> str:
         return f"{key}.shape: must be 'column', 'box' or 'mesh'"
     accepted = f"must be a section, [{key}]" if error["type"].startswith("model") else _accepted(field, error)
     return f"{key} = {shown(error['input'])}: {accepted}"
+
+
+def _meant(word: str, known: list[str]) -> str | None:
+    """The known key of which `word` is a slip of the pen; None where it may well mean something else.
+
+    A slip changes a letter or two. A key with a word more (basal_friction_angle) is another quantity's.
+    """
+    alike = [key for key in known if abs(len(key) - len(word)) <= SLIP_LETTERS]
+    return next(iter(difflib.get_close_matches(word, alike, n=1, cutoff=SLIP_LIKENESS)), None)
 
 
 def says_less(error: dict) -> bool:

@@ -217,6 +217,37 @@ def test_refusal_says_what_to_do(reference, override, expected):
     assert "\n" not in line
 
 
+@pytest.mark.parametrize(
+    ("slip", "meant"),
+    [
+        ("material.frictionangle", "friction_angle"),
+        ("material.youngs", "young"),
+        ("material.poison", "poisson"),
+        ("material.cohesian", "cohesion"),
+        ("material.denisty", "density"),
+        ("geometry.raduis", "radius"),
+        ("explicit.time_steps", "time_step"),
+        ("implicit.load_step", "load_steps"),
+        ("output.evry", "every"),
+        ("materal", "material"),
+    ],
+)
+def test_a_slip_of_the_pen_gets_the_key_that_was_meant(slip, meant):
+    assert the_problem(COLUMN, f"{slip}=1") == f"{slip}: unknown key; did you mean '{meant}'?"
+
+
+@pytest.mark.parametrize(
+    "key",
+    ["material.basal_friction", "material.basal_friction_angle", "material.wall_friction_angle",
+     "material.bulk_density", "material.viscosity", "explicit.min_time", "explicit.max_steps", "output.freq"],
+)  # fmt: skip
+def test_a_key_that_means_something_else_gets_no_near_one(key):
+    """A key of another section may be named all the same: max_steps belongs in [implicit]."""
+    line = the_problem(COLUMN, f"{key}=30")
+    assert line.startswith(f"{key}: unknown key; ") and "did you mean" not in line
+    assert "known here: " in line or "it belongs in [implicit], as implicit.max_steps" in line
+
+
 def test_a_wide_cell_is_compared_with_the_radius_of_a_tall_column():
     line = the_problem("column_4", "grid.cell=1.5")
     assert "radius = 1 [m]" in line
