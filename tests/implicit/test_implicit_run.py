@@ -7,7 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from mpm.config import load_scene
+from mpm.config import load_scene, parse_scene
 from mpm.errors import NumericalError, SceneError
 from mpm.results import Results
 from mpm.running import Interrupted
@@ -194,3 +194,37 @@ def test_a_scene_without_a_quasistatic_reading_is_refused_with_all_its_problems(
         run(column("loads.ramp=0.5", *weightless), tmp_path / "run")
     assert [problem.split(" = ")[0] for problem in caught.value.problems] == ["loads.gravity", "loads.ramp"]
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("cell", "softer"),
+    [(0.25, 0.20), pytest.param(0.125, 0.04, marks=pytest.mark.slow)],  # averaged volume strains bend too easily
+)
+def test_a_slender_beam_comes_to_rest_under_its_own_weight(tmp_path, cell, softer):
+    """6 x 0.5 x 0.5 m, held at one end, E = 1 GPa, gravity in load steps; sweeps alone do not solve its systems.
+
+    Deflection of a rod at x: q x^2 (6 l^2 - 4 l x + x^2)/(24 E I) of bending and q (l x - x^2/2)/(5/6 G A) of shear.
+    """
+    length, height, young, poisson, density = 6.0, 0.5, 1e9, 0.3, 2000.0
+    table = {
+        "name": "beam",
+        "geometry": {
+            "shape": "box",
+            "size": [length, height, height],
+            "walls": {"x_min": "fixed", "z_min": "free"},
+        },
+        "grid": {"cell": cell},
+        "material": {"model": "elastic", "young": young, "poisson": poisson, "density": density},
+        "loads": {"initial_stress": "none"},
+        "output": {"vtk": False},
+    }
+    summary = run(parse_scene(table), tmp_path / "run")
+    assert (summary["stop_reason"], summary["failed_steps"]) == ("rest", 0)
+    results = Results.open(tmp_path / "run")
+    x0 = results.read_static("x0")
+    end = x0[:, 0] > length - 0.5 * cell
+    x, sunk = x0[end, 0].mean(), (x0 - results.snapshot(-1)["x"])[end, 2].mean()
+    load = density * 9.81 * height**2
+    bent = load * x**2 * (6 * length**2 - 4 * length * x + x**2) / (24 * young * height**4 / 12)
+    sheared = load * (length * x - x**2 / 2) / (5 / 6 * young / (2 * (1 + poisson)) * height**2)
+    assert 1.0 < sunk / (bent + sheared) < 1.0 + softer
