@@ -1,9 +1,10 @@
 """What is asked of a quasistatic collapse by two solvers, with what was measured."""
 
 from compare.batch import Outcome
-from compare.sections import check, eq4_of
+from compare.sections import check
 from implicit.relaxation import REST_UNBALANCED
 from mpm.config import Scene
+from mpm.scene import theory
 
 RUN_OUT_AGREES = 0.10  # relative difference in R_995
 PROFILE_AGREES = 0.10  # volume between two profiles over the deposit's
@@ -47,9 +48,9 @@ def _run_outs(deposits, scene: Scene) -> list[dict]:
     """R_995 of each solver against the other's and Eq. 4's."""
     implicit, explicit = (one and one["R_995"] for one in deposits[:2])
     pairs = [("implicit run-out agrees with explicit", implicit, explicit, "the explicit run-out")]
-    if theory := eq4_of(scene):
-        pairs += [("implicit run-out agrees with Eq. 4", implicit, theory, "Eq. 4")]
-        pairs += [("explicit run-out agrees with Eq. 4", explicit, theory, "Eq. 4")]
+    if known := theory(scene)["eq4"]:
+        pairs += [("implicit run-out agrees with Eq. 4", implicit, known, "Eq. 4")]
+        pairs += [("explicit run-out agrees with Eq. 4", explicit, known, "Eq. 4")]
     found = []
     for name, value, reference, of in pairs:
         off = value / reference - 1.0 if value and reference else None
@@ -68,9 +69,7 @@ def _rest(outcome: Outcome) -> dict:
         "implicit": ("out-of-balance force over external", "unbalanced_ratio", f"{REST_UNBALANCED:g}"),
         "explicit": ("grid kinetic energy over its peak", "grid_ke_ratio", REST_KE),
     }[outcome.job.mode]
-    said = (
-        f"{measure} {summary[key]:.1e}; rest asks for {limit} and a front that stands still over 2 sqrt(h0/g)."
-    )
+    said = f"{measure} {summary[key]:.1e}; rest asks for {limit} and a front that stands still over 2 sqrt(h0/g)."
     return check(name, float(summary["stop_reason"] != "rest"), 0.0, said)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from compare.batch import Job, Outcome, run_all
 from compare.checks import quasistatic_checks
-from compare.drawing import has_eq4, tan_theta
+from compare.drawing import tan_theta
 from compare.figures import draw_cost, draw_histories, draw_plan_and_section, draw_profiles, strain_limit
 from compare.metrics import axis_of, deposit, eq4_profile, profile, profile_distance
 from compare.report import refuse_another, write_table
@@ -14,7 +14,6 @@ from compare.sections import (
     WHAT_MEASURES_MEAN,
     about,
     cost_table,
-    eq4_of,
     eq6_section,
     failures,
     figure,
@@ -28,7 +27,7 @@ from mpm.analytic import eq4
 from mpm.config import load_scene
 from mpm.errors import SceneError
 from mpm.runout import front
-from mpm.scene import build
+from mpm.scene import build, has_eq4, outlook, theory
 
 DAMPING = 0.4  # of the explicit run: the paper's quasistatic collapse
 COLLAPSED = 0.01  # advance of R_995 above which a body has run out
@@ -142,13 +141,14 @@ def _agreement(outcomes, labels, runs, distances, directory) -> dict:
     done = [(one, label) for one, label in zip(outcomes[:2], labels[:2], strict=True) if one.done]
     tables = [runs]
     scene = outcomes[0].job.scene
-    if theory := eq4_of(scene):
+    if known := theory(scene)["eq4"]:
         text = [
-            f"Eq. 4: R = {theory:.4f}; flank angle {scene.material.friction_angle:g} degrees. One number stands for "
+            f"Eq. 4: R = {known:.4f}; flank angle {scene.material.friction_angle:g} degrees. One number stands for "
             "all run-outs of Eq. 4: its foot is sharp."
         ]
     else:
         text = ["Eq. 4 is for a column that only friction holds: it says nothing of this scene."]
+        text += [f"{said[0].upper()}{said[1:]}." for said in [outlook(build(scene))] if said]
     if len(outcomes) == 2:
         text.append("Twice the cell size does not fit this geometry: how far the grid decides was not tried.")
     text += softened_note(outcomes)
@@ -193,7 +193,7 @@ def _cost(outcomes, labels, scene, directory) -> dict:
     figures, points = [], []
     for one in outcomes:
         if one.done and has_eq4(scene):
-            off = abs(one.summary["R_995"] / eq4_of(one.job.scene) - 1.0)
+            off = abs(one.summary["R_995"] / theory(one.job.scene)["eq4"] - 1.0)
             row = {"solver": one.job.mode, "label": one.job.mode, "seconds": one.summary["wall_s"], "error": off}
             points.append(row | {"note": f"{one.summary['cells_per_radius']:g}"})
     if points:

@@ -45,13 +45,6 @@ def save(figure, path) -> Path:
     return Path(path)
 
 
-def has_eq4(scene) -> bool:
-    """Whether Eq. 4 speaks of this resolved scene: a column that only friction holds."""
-    material = scene["material"]
-    frictional = material["model"] != "elastic" and material.get("cohesion", 0.0) == 0 and tan_theta(scene) > 0
-    return scene["geometry"]["shape"] == "column" and frictional
-
-
 def tan_theta(scene) -> float:
     """Eq. 4's slope [-]: the angle of repose is taken to be the friction angle."""
     return np.tan(np.radians(scene["material"]["friction_angle"]))

@@ -17,7 +17,6 @@ from compare.drawing import (
     SKY,
     colour_values,
     draw_section,
-    has_eq4,
     last_snapshot,
     new_figure,
     save,
@@ -27,6 +26,7 @@ from compare.drawing import (
 from compare.experiments import experiments
 from compare.metrics import axis_of, half_length, profile
 from mpm.analytic import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, quasistatic_profile
+from mpm.scene import has_eq4
 
 WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
 COLOURS = (ORANGE, GREEN, PURPLE, RED, SKY)  # of runs; blue is the implicit solver's

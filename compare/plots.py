@@ -22,7 +22,6 @@ from compare.drawing import (
     SKY,
     colour_values,
     draw_section,
-    has_eq4,
     hull,
     last_snapshot,
     new_figure,
@@ -35,6 +34,7 @@ from implicit.relaxation import REST_UNBALANCED
 from mpm.analytic import eq4, quasistatic_profile
 from mpm.errors import SceneError
 from mpm.results import Results
+from mpm.scene import has_eq4
 
 # Column, label, colour, line style.
 RUN_OUTS = (

@@ -3,10 +3,8 @@
 import numpy as np
 
 from compare.batch import Outcome
-from compare.drawing import has_eq4
 from compare.experiments import experiments
 from mpm.analytic import eq6, eq6_printed
-from mpm.config import Scene
 from mpm.provenance import installed, provenance
 from mpm.scene import theory
 
@@ -59,7 +57,7 @@ def runs_table(outcomes: list[Outcome], labels: list[str], deposits: list[dict |
         summary = outcome.summary
         rows.append(
             [label, summary["cells_per_radius"], summary["points"],
-             found["R_995"], relative(found["R_995"], eq4_of(outcome.job.scene)),
+             found["R_995"], relative(found["R_995"], theory(outcome.job.scene)["eq4"]),
              found["R_connected"], found["R_max"], found["h_inf"], found["flank_angle"], found["centre_height"],
              percent(found["volume_error"]), HOW_ENDED[summary["stop_reason"]]]
         )  # fmt: skip
@@ -96,11 +94,6 @@ def cost_table(outcomes: list[Outcome], labels: list[str]) -> dict:
     ]
     columns = ["run", "precision", "set-up [s]", "time stepping [s]", "peak memory [MB]", "device", "command"]
     return {"caption": "Cost: one core (or the GPU named) each", "columns": columns, "rows": rows}
-
-
-def eq4_of(scene: Scene) -> float | None:
-    """Eq. 4's run-out [-]; None where it does not speak of the scene (see `compare.drawing.has_eq4`)."""
-    return theory(scene)["eq4"] if has_eq4(scene.model_dump(mode="json")) else None
 
 
 def failures(outcomes: list[Outcome], labels: list[str]) -> list[str]:

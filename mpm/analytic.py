@@ -8,6 +8,7 @@ from scipy.special import lambertw
 
 SQRT3 = np.sqrt(3.0)
 EQ2_SWITCH = 0.74
+CUT_STABILITY = 3.83  # rho g h/c at which a vertical cut without friction falls, on a circular slip surface
 
 
 def eq2(lambda0, tan_theta):
@@ -58,6 +59,15 @@ def quasistatic_profile(lambda0, tan_theta, r):
     """Height h(r) [-] of Eq. 4's solid at radii `r` [-]: flank of slope tan(theta), top cut at h0."""
     r_inf = 1.0 + eq4(lambda0, tan_theta)
     return np.clip(tan_theta * (r_inf - np.asarray(r, float)), 0.0, lambda0)
+
+
+def critical_height(cohesion, density, gravity, friction_angle):
+    """Height [m] up to which a vertical cut stands, 3.83 c/(rho g) tan(45 degrees + phi/2).
+
+    `cohesion` c [Pa], `density` rho [kg/m3], `gravity` g [m/s2] > 0, `friction_angle` phi [degrees]. Terzaghi's form
+    for plane strain with the stability number of a circular slip (Fellenius; 4 on a plane one).
+    """
+    return CUT_STABILITY * cohesion / (density * gravity) * np.tan(np.radians(45.0 + 0.5 * friction_angle))
 
 
 def self_weight_stretch(young, density, gravity, depth):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpm.analytic import eq4, eq45
+from mpm.analytic import critical_height, eq4, eq45
 from mpm.config import Box, Column, Scene
 from mpm.drucker_prager import Constants
 from mpm.fit import Fit
@@ -63,10 +63,33 @@ def build(scene: Scene, seeds: Seeds | None = None) -> Body:
     )
 
 
+def has_eq4(scene: dict) -> bool:
+    """Whether Eq. 4 speaks of this resolved scene (`Scene.model_dump(mode="json")`): a column that only friction holds
+    and that gravity pulls."""
+    material = scene["material"]
+    only_friction = material["model"] != "elastic" and material["cohesion"] == 0 and material["friction_angle"] > 0
+    return scene["geometry"]["shape"] == "column" and only_friction and scene["loads"]["gravity"] > 0
+
+
 def theory(scene: Scene) -> dict[str, float | None]:
-    """Run-outs of Eq. 4 and of Eq. 5 in Eq. 4 with theta = phi [-]; None where there is no column."""
-    tangent = float(np.tan(np.radians(scene.material.friction_angle)))
-    if not isinstance(scene.geometry, Column) or scene.material.model == "elastic" or tangent == 0:
+    """Run-outs of Eq. 4 and of Eq. 5 in Eq. 4 with theta = phi [-]; None where Eq. 4 does not speak of the scene."""
+    if not has_eq4(scene.model_dump(mode="json")):
         return {"eq4": None, "eq45": None}
-    lambda0 = scene.geometry.aspect_ratio
+    lambda0, tangent = scene.geometry.aspect_ratio, float(np.tan(np.radians(scene.material.friction_angle)))
     return {"eq4": float(eq4(lambda0, tangent)), "eq45": float(eq45(lambda0, tangent))}
+
+
+def outlook(body: Body) -> str:
+    """What is to be expected of a column with cohesion, of which Eq. 4 does not speak, in a line; "" of all others.
+
+    It stands where it is no higher than a vertical cut that stands (`mpm.analytic.critical_height`).
+    """
+    scene, material = body.scene, body.scene.material
+    cohesive = material.model != "elastic" and material.cohesion > 0 and scene.loads.gravity > 0
+    if not (cohesive and isinstance(scene.geometry, Column)):
+        return ""
+    critical = critical_height(material.cohesion, material.density, scene.loads.gravity, material.friction_angle)
+    cut = f"that of a vertical cut that just stands, 3.83 c/(rho g) tan(45 degrees + phi/2) = {critical:.3g} m"
+    if body.height <= critical:
+        return f"it stands: its height {body.height:g} m is below {cut}; no Eq. 4, as there is no run-out"
+    return f"no Eq. 4, which is for what only friction holds: the height {body.height:g} m is above {cut}"

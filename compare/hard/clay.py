@@ -5,6 +5,7 @@ A vertical cut in clay stands up to 3.83 c/(rho g) (circular slip); the tall blo
 
 from compare.hard.case import Finding, hard_case
 from compare.hard.collapse import DAMPED, collapse, runout, same, story
+from mpm.analytic import critical_height
 
 COHESION, DENSITY = 1500.0, 1900.0  # [Pa], [kg/m3]
 TALL, LENGTH, WIDTH = 0.8, 0.8, 0.2  # [m]
@@ -67,7 +68,7 @@ def _critical(mode):
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if falls(mode, middle) else (middle, high)
-    height, theory = (low + high) / 2 * FINE / 2, 3.83 * COHESION / (DENSITY * 9.81)
+    height, theory = (low + high) / 2 * FINE / 2, critical_height(COHESION, DENSITY, 9.81, 0.0)
     note = f"stands at {low * FINE / 2:.3f} m, falls at {high * FINE / 2:.3f} m; 3.83 c/(rho g) = {theory:.3f} m"
     reason = "by bisection in half cells, 8 % of it"
     yield Finding("critical height, off 3.83 c/(rho g)", mode, abs(height / theory - 1.0), 0.15, reason, note)

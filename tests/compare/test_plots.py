@@ -24,7 +24,8 @@ def scene(shape="column", model="drucker_prager", symmetry="quarter", cell=CELL)
         "name": "synthetic",
         "geometry": geometry if shape == "column" else {"shape": shape, "size": [1.0, 1.0, 1.0]},
         "grid": {"cell": cell, "points_per_cell": 2},
-        "material": {"model": model, "friction_angle": 37.55},
+        "material": {"model": model, "friction_angle": 37.55, "cohesion": 0.0},
+        "loads": {"gravity": 9.81},
     }
 
 
