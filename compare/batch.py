@@ -14,12 +14,15 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
+from compare.solvers import runs_of
 from compare.worker import JOB, OUTCOME
 from mpm.config import Mesh, Scene, load_scene
 from mpm.devices import find_device
 from mpm.errors import INTERRUPTED, SceneError
+from mpm.precheck import refusals
 from mpm.provenance import code_version, device_name
 from mpm.results import Results
+from mpm.scene import build
 
 LOCK = "lock"
 LOOK_EVERY = 0.2  # [s] between looks at the processes
@@ -100,11 +103,17 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
 
     A run's folder is `directory`/NAME-KEY, so that another scene, device or version of the code never meets it.
     `force` runs all of them again. `monitor` has `start(jobs)`, `look(job, log)`, `ended(outcome)` and `stop()`.
-    Raises SceneError where another call is at work in `directory`, and KeyboardInterrupt after every process has saved
-    its state: the same call, without `force`, then goes on from there.
+    Raises SceneError, before anything is run, for what a solver would refuse, for a solver that is not installed and
+    where another call is at work in `directory`. Raises KeyboardInterrupt after every process has saved its state: the
+    same call, without `force`, then goes on from there.
     """
     outcomes: list[Outcome | None] = [None] * len(jobs)
     folders = [directory / f"{job.name}-{job.key}" for job in jobs]  # every scene is resolved before any run starts
+    for mode in {job.mode: None for job in jobs}:
+        runs_of(mode)
+    refused = [problem for job in jobs for problem in refusals(build(job.scene), job.mode)]
+    if refused:
+        raise SceneError(list(dict.fromkeys(refused)))
     waiting = list(range(len(jobs)))
     active: dict[int, tuple[Path, subprocess.Popen]] = {}
     with _alone_in(directory) as lock:

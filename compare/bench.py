@@ -12,6 +12,7 @@ from compare.bench_worker import YARDSTICK_CELLS, column
 from compare.figures import draw_growth
 from compare.report import refuse_another, write_table
 from compare.sections import check, figure, verdict
+from compare.solvers import runs_of
 from mpm.devices import find_device
 from mpm.errors import SceneError
 from mpm.lattice import paper_grid
@@ -32,6 +33,7 @@ def bench(directory: Path, force, _monitor, command: str, mode: str, device: str
     """
     if mode == "implicit" and (device, precision) != ("cpu", "float64"):
         raise SceneError(f"--device {device} --precision {precision}: the implicit solver runs on the CPU in float64")
+    runs_of(mode)  # said now, and not by the process that measures
     place = find_device(device)
     sizes = sorted(cells) or CELLS["explicit on a GPU" if place.is_cuda and mode == "explicit" else mode]
     about_what = {"bench": mode, "device": device, "precision": precision, "cells": list(sizes)}

@@ -11,7 +11,9 @@ import typer
 from rich.table import Table
 
 from compare.options import SpacedNumbers
-from compare.terminal import BatchMonitor, Monitor, err, out, summary_table
+from compare.solvers import runs_of
+from compare.terminal import BatchMonitor, Monitor, announce, err, out, summary_table
+from mpm.command import command
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
 
 app = typer.Typer(
@@ -56,7 +58,7 @@ def run(
     from mpm.config import load_scene
 
     validated = load_scene(scene, set_)
-    solver = _runs_of(mode)
+    solver = runs_of(mode.value)
     directory = directory or Path("runs") / f"{validated.name}-{mode.value}"
     _follow(directory, solver.run, validated, directory, device, force, Monitor())
 
@@ -69,7 +71,7 @@ def resume(
     """Go on with a run from its last checkpoint."""
     from mpm.results import Results
 
-    solver = _runs_of(Mode(Results.open(directory).provenance.get("mode", Mode.explicit)))
+    solver = runs_of(str(Results.open(directory).provenance.get("mode", Mode.explicit.value)))
     _follow(directory, solver.resume, directory, device, Monitor())
 
 
@@ -90,9 +92,9 @@ def compare(
 ):
     """Implicit against explicit (D = 0.4) and Eq. 4, from one scene: writes DIR/report.html, report.json, table.csv."""
     from compare.comparison import compare_solvers
-    from mpm.config import load_scene
 
-    directory = directory or Path("runs") / f"{load_scene(scene, set_).name}-compare"
+    name = _announced(scene, set_).name
+    directory = directory or Path("runs") / f"{name}-compare"
     _report(directory, force, compare_solvers, scene, set_, device)
 
 
@@ -115,9 +117,9 @@ def study_error(
 ):
     """Speed against error of both solvers, over resolution, precision, step and stiffness (an hour or more)."""
     from compare.study_error import study_error
-    from mpm.config import load_scene
 
-    directory = directory or Path("runs") / f"{load_scene(scene, set_).name}-error"
+    name = _announced(scene, set_).name
+    directory = directory or Path("runs") / f"{name}-error"
     _report(directory, force, study_error, scene, set_, cells, finer, device, jobs)
 
 
@@ -172,23 +174,34 @@ def bench(
 def validate(
     scene: SceneArg,
     set_: SetOption = [],  # noqa: B006
+    mode: Annotated[Mode, typer.Option(help="solver")] = Mode.explicit,
     table1: Annotated[bool, typer.Option("--table1", help="element, node and point counts of Table 1")] = False,
 ):
-    """Check a scene file and say what it would compute; nothing is run."""
+    """Check a scene file and say what `run` would compute, or refuse; nothing is run."""
     from mpm.config import load_scene
+    from mpm.precheck import refusals, refuse
     from mpm.scene import build, theory
 
     body = build(load_scene(scene, set_))
+    refuse(body, mode.value)
+    if mode is Mode.implicit:
+        runs_of(mode.value)
     resolved = body.scene
-    adaptive = resolved.explicit.cfl * resolved.grid.cell / body.constants.p_wave_speed
-    dt = resolved.explicit.time_step or adaptive
     out.print(f"{resolved.name}: valid. {len(body.x):,} points, cell {resolved.grid.cell:g} m")
     for line in body.fit.lines() if body.fit else ():
         out.print(line)
-    out.print(f"first time step {dt:.4g} s, time scale sqrt(h0/g) = {body.time_scale:.4g} s")
+    time = f"time scale sqrt(h0/g) = {body.time_scale:.4g} s"
+    if mode is Mode.explicit:
+        adaptive = resolved.explicit.cfl * resolved.grid.cell / body.constants.p_wave_speed
+        time = f"first time step {resolved.explicit.time_step or adaptive:.4g} s, {time}"
+    out.print(time)
+    other = Mode.implicit if mode is Mode.explicit else Mode.explicit
+    for problem in refusals(body, other.value):
+        out.print(f"the {other.value} solver would refuse it: {problem}")
     run_outs = [f"{key} = {value:.4f}" for key, value in theory(resolved).items() if value is not None]
     if run_outs:
         out.print("run-out in theory: " + ", ".join(run_outs))
+    announce(body)
     if table1:
         out.print(_table1(body))
 
@@ -234,20 +247,21 @@ def demo(directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path
     scene, run_outs = load_scene("column_small"), []
     for mode in Mode:
         folder = directory / mode.value
-        summary = _follow(folder, _runs_of(mode).run, scene, folder, force=True, monitor=Monitor())
+        summary = _follow(folder, runs_of(mode.value).run, scene, folder, force=True, monitor=Monitor())
         for path in _draw(folder):
             out.print(str(path))
         run_outs.append(f"{mode.value} {summary['R_995']:.4f}")
     out.print(f"run-out R_995: {', '.join(run_outs)}; quasistatic theory (Eq. 4) {summary['eq4']:.4f}")
 
 
-def _runs_of(mode: Mode):
-    """The module with `run` and `resume` of that solver; SceneError where what it needs is not installed."""
-    if mode is Mode.implicit:
-        import implicit.run as runs
-    else:
-        import explicit.run as runs
-    return runs
+def _announced(reference: str, settings: list[str]):
+    """The resolved scene, once what there is to know of it was said."""
+    from mpm.config import load_scene
+    from mpm.scene import build
+
+    scene = load_scene(reference, settings)
+    announce(build(scene))
+    return scene
 
 
 def _follow(folder: Path, solve, *arguments, **named) -> dict:
@@ -259,17 +273,17 @@ def _follow(folder: Path, solve, *arguments, **named) -> dict:
         raise typer.Exit(INTERRUPTED) from None
     out.print(summary_table(summary))
     vtk = "; ParaView opens vtk/run.pvd" if (folder / "vtk" / "run.pvd").is_file() else ""
-    out.print(f"results in {folder} (`repose plot {folder}` draws them{vtk})")
+    out.print(f"results in {folder} (`{command('plot', folder)}` draws them{vtk})")
     return summary
 
 
 def _report(directory: Path, force: bool, make, *arguments):
-    """Let `make(directory, force, monitor, command, *arguments)` compute a report; write it and print its verdict."""
+    """Let `make(directory, force, monitor, asked, *arguments)` compute a report; write it and print its verdict."""
     from compare.report import write_report
 
-    command = shlex.join(["repose", *sys.argv[1:]])
+    asked = shlex.join(["repose", *sys.argv[1:]])
     try:
-        report = make(directory, force, BatchMonitor(), command, *arguments)
+        report = make(directory, force, BatchMonitor(), asked, *arguments)
     except KeyboardInterrupt as stop:
         err.print(str(stop) or "interrupted")
         raise typer.Exit(INTERRUPTED) from None

@@ -6,6 +6,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from mpm.precheck import doubts
+from mpm.scene import outlook
+
 PLAIN_EVERY = 10.0  # seconds between progress lines when the output is not a terminal
 BATCH_PLAIN_EVERY = 60.0  # likewise of a study, whose runs say more in their logs
 # How far a run is, in the unit of its `progress`.
@@ -36,8 +39,17 @@ def banner(run) -> str:
     )
 
 
+def announce(body):
+    """What to know of a body before it is computed: values that look like another unit, whether it will stand."""
+    for doubt in doubts(body):
+        err.print(f"warning: {doubt}", style="yellow")
+    if said := outlook(body):
+        out.print(f"{body.scene.name}: {said}")
+
+
 class Monitor:
-    """Follows a run: `start` prints the banner, `row` moves the bar (or prints a line), `stop` clears it."""
+    """Follows a run: `start` prints the banner and what `announce` says, `row` moves the bar (or prints a line), `stop`
+    clears it."""
 
     def __init__(self):
         self.progress = None
@@ -45,6 +57,7 @@ class Monitor:
 
     def start(self, run):
         out.print(banner(run))
+        announce(run.body)
         if not out.is_terminal:
             return
         columns = (

@@ -8,6 +8,7 @@ import json
 import sys
 from pathlib import Path
 
+from compare.solvers import runs_of
 from compare.terminal import Monitor
 from mpm.config import parse_scene
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
@@ -21,13 +22,11 @@ def work(folder: Path) -> int:
     """Start or go on with the run that FOLDER/job.json asks for; the exit code, as that of `repose run`."""
     job = json.loads((folder / JOB).read_text(encoding="utf-8"))
     more = {}
+    runs = runs_of(job["mode"])
     if job["mode"] == "implicit":
-        import implicit.run as runs
         from implicit.relaxation import Regularisation
 
         more = {"regularisation": Regularisation(**job["regularisation"])}
-    else:
-        import explicit.run as runs
     if code_version(job["mode"]) != job["code"]:
         print("the solver's code was changed while the study ran")
         return SceneError.exit_code

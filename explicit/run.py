@@ -9,6 +9,7 @@ from explicit.solver import ExplicitSolver
 from mpm.config import Scene
 from mpm.devices import find_device
 from mpm.errors import NumericalError, StepRefused
+from mpm.precheck import refuse
 from mpm.provenance import code_version, provenance
 from mpm.results import Results
 from mpm.running import Run, body_of, reopen
@@ -39,6 +40,7 @@ def run(scene: Scene, directory, device="cpu", force=False, monitor=None) -> dic
     place = find_device(device)
     body = build(scene)
     mode = ExplicitRun.mode
+    refuse(body, mode)
     described = provenance(device, scene.explicit.precision) | {"mode": mode, "code": code_version(mode)}
     results = Results.create(directory, scene.model_dump(mode="json"), described, force)
     this = ExplicitRun(body, results, place)

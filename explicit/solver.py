@@ -16,6 +16,7 @@ from explicit.kernels.pencils import MARGIN
 from explicit.pencils import PencilGrid
 from mpm.errors import NumericalError, StepRefused
 from mpm.geostatic import geostatic_strain
+from mpm.precheck import over_courant
 from mpm.scene import Body
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
@@ -283,10 +284,7 @@ class ExplicitSolver:
                 raise NumericalError(
                     f"diverged {where}, point {point}: {what} (x = {x} m, v = {v} m/s, dt = {self.time_step:.3g} s)"
                 )
-        raise StepRefused(
-            f"time step over the Courant limit {where}: explicit.time_step = {self.setup.fixed_dt:.4g} s "
-            f"must be below h/(c + |v|) = {self.courant_limit:.4g} s; lower it, or leave it out for the adaptive step"
-        )
+        raise StepRefused(f"time step refused {where}: {over_courant(self.setup.fixed_dt, self.courant_limit)}")
 
     def energies(self) -> dict[str, float]:
         """Energies and time integrals of power [J], with the grid as the last step left it.

@@ -8,8 +8,9 @@ from implicit.newton import solve
 from implicit.relaxation import Regularisation, StepLength
 from implicit.state import Basis, Points
 from implicit.system import System
-from mpm.errors import NumericalError, SceneError
+from mpm.errors import NumericalError
 from mpm.geostatic import geostatic_strain
+from mpm.precheck import refuse
 from mpm.scene import Body
 
 MOVED_QUANTILE = 0.98  # of the points' displacement in a step: single grains in the air do not shorten it
@@ -37,7 +38,7 @@ class ImplicitSolver:
     def __init__(self, body: Body, regularisation: Regularisation = Regularisation()):
         """Raises SceneError for a scene that the implicit solver cannot run."""
         scene = body.scene
-        _refuse(scene)
+        refuse(body, "implicit")
         self.body = body = regularisation.softened(body)
         self.regularisation = regularisation
         self.cell, self.gravity = scene.grid.cell, scene.loads.gravity
@@ -186,17 +187,3 @@ class ImplicitSolver:
             setattr(self, name, state[name])
         self.length.dt = state["dt"]
         self._pull()
-
-
-def _refuse(scene):
-    """Scenes without a quasistatic reading. Raises SceneError with all reasons."""
-    problems = []
-    if scene.loads.gravity == 0:
-        problems.append("loads.gravity = 0: the implicit solver follows a body under its weight, must be > 0 [m/s2]")
-    if scene.loads.ramp > 0:
-        problems.append(
-            f"loads.ramp = {scene.loads.ramp:g}: a time for the explicit solver only; the implicit one adds gravity in "
-            "implicit.load_steps with loads.initial_stress = 'none'"
-        )
-    if problems:
-        raise SceneError(problems)

@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from mpm.command import command
 from mpm.drucker_prager import CONES, Constants, dilatancy_slope, friction_cone
 from mpm.errors import SceneError
 from mpm.wording import explain, says_less, shown
@@ -197,7 +198,7 @@ def read_scene_file(reference: str) -> tuple[dict, Path]:
         if reference not in preset_names():
             near = difflib.get_close_matches(reference, preset_names(), n=1)
             hint = f"; did you mean '{near[0]}'?" if near else ""
-            raise SceneError(f"scene '{reference}': no such file or preset{hint} (`repose scenes` lists them)")
+            raise SceneError(f"scene '{reference}': no such file or preset{hint} (`{command('scenes')}` lists them)")
         path = Path(str(resources.files("mpm") / "presets" / f"{reference}.toml"))
     try:
         # -sig: some Windows editors put a byte-order mark first
@@ -303,6 +304,11 @@ def _cross_checks(scene: Scene) -> list[str]:
         )
     if scene.grid.extent == "paper" and not (isinstance(shape, Column) and shape.symmetry == "quarter"):
         problems.append("grid.extent = 'paper': only for a quarter column (Table 1)")
+    elif scene.grid.extent == "paper" and 4.0 * shape.height < shape.radius:
+        problems.append(
+            f"grid.extent = 'paper': its walls at x, y = 4 h0 = {4.0 * shape.height:g} stand inside the column, "
+            "geometry.aspect_ratio must be >= 0.25 [-]"
+        )
     if scene.loads.ramp > 0 and scene.loads.initial_stress == "geostatic":
         problems.append(f"loads.ramp = {scene.loads.ramp:g}: must be 0 [s] where loads.initial_stress = 'geostatic'")
     if scene.loads.gravity == 0:

@@ -21,6 +21,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from mpm.command import command
 from mpm.errors import SceneError
 
 RESULTS, CHECKPOINT, SUMMARY = "results.h5", "checkpoint.h5", "summary.json"
@@ -56,9 +57,8 @@ class Results:
             if force:
                 _remove_run_files(folder)
             elif any(folder.iterdir()):
-                raise SceneError(
-                    f"{folder} is not empty: `--force` replaces the run in it, `repose resume {folder}` continues it"
-                )
+                resume = command("resume", folder)
+                raise SceneError(f"{folder} is not empty: `--force` replaces the run in it, `{resume}` continues it")
             # Python's own open gives the plain reason ("Permission denied"); HDF5 buries it in a paragraph.
             (folder / RESULTS).touch()
             with h5py.File(folder / RESULTS, "w") as file:

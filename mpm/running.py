@@ -6,6 +6,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
+from mpm.command import command
 from mpm.config import parse_scene
 from mpm.errors import NumericalError, SceneError
 from mpm.geometry import Seeds
@@ -210,7 +211,7 @@ class Run:
             if interrupt.asked and not self.stop_reason:
                 self.save(self.whole_state())
                 where = self.results.directory
-                raise Interrupted(f"stopped at t = {self.solver.time:.6g} s; `repose resume {where}` goes on")
+                raise Interrupted(f"stopped at t = {self.solver.time:.6g} s; `{command('resume', where)}` goes on")
 
     def add_row(self, row: dict[str, float]):
         """A history row, written with the next checkpoint."""

@@ -4,7 +4,6 @@ What may crash runs in a process forked for it, so that a crash is a finding and
 """
 
 import functools
-import importlib
 import os
 import pickle
 import signal
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from compare.solvers import runs_of
 from mpm.config import load_scene
 from mpm.errors import NumericalError, SceneError
 from mpm.results import Results
@@ -79,11 +79,6 @@ class Striker:
         if self.act and row["time"] > WHEN:
             act, self.act = self.act, None
             act(run)
-
-
-def runs_of(mode: str):
-    """The module with `run` and `resume`. Raises SceneError where the solver is not installed."""
-    return importlib.import_module(f"{mode}.run")
 
 
 def start(mode: str, folder: Path, act=None, more=()):

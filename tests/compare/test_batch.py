@@ -79,7 +79,7 @@ def test_force_runs_it_again(tmp_path):
 
 
 def test_a_failed_run_says_why_and_the_others_go_on(tmp_path):
-    jobs = [job("bad", "explicit.time_step=0.05"), job("good")]
+    jobs = [job("bad", "explicit.time_step=0.003986"), job("good")]  # h/c = 3.988 ms: too long as points speed up
     bad, good = run_all(jobs, tmp_path, 2, False, Quiet())
     assert not bad.done and good.done
     assert "Courant limit" in bad.reason
@@ -160,6 +160,14 @@ def test_a_bad_scene_is_told_before_anything_runs(tmp_path):
     with pytest.raises(SceneError, match="poisson"):
         run_all([job(), job("b", "material.poisson=2")], tmp_path, 1, False, Quiet())
     assert not list(tmp_path.iterdir())  # nothing was started
+
+
+def test_what_a_solver_would_refuse_is_told_before_anything_runs(tmp_path):
+    jobs = [job(), job("b", "explicit.time_step=1.0"), job("c", "explicit.time_step=1.0")]
+    with pytest.raises(SceneError) as caught:
+        run_all(jobs, tmp_path, 1, False, Quiet())
+    assert len(caught.value.problems) == 1 and "Courant limit" in caught.value.problems[0]
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_command_makes_the_same_run():

@@ -119,13 +119,20 @@ def test_the_same_comparison_reuses_its_runs_and_another_is_refused(compared, ca
     assert "choose another --out, or --force replaces it" in capsys.readouterr().err
 
 
+def test_a_step_over_the_courant_limit_is_refused_before_anything_runs(tmp_path, capsys):
+    folder = tmp_path / "out"
+    assert repose("compare", "column_small", *SHORT, "--set", "explicit.time_step=0.05", "--out", folder) == 2
+    assert "explicit.time_step = 0.05: over the Courant limit" in capsys.readouterr().err
+    assert not folder.exists()
+
+
 def test_a_failed_run_is_in_the_report_with_its_reason(tmp_path):
     folder = tmp_path / "out"
-    assert repose("compare", "column_small", *SHORT, "--set", "explicit.time_step=0.05", "--out", folder) == 3
+    assert repose("compare", "column_small", *SHORT, "--set", "explicit.time_step=0.003986", "--out", folder) == 3
     report = json.loads((folder / "report.json").read_text())
     page = text_of((folder / "report.html").read_text(encoding="utf-8"))
-    assert len(report["failed"]) == 2 and "Courant limit" in report["failed"][0]
-    assert "failed: time step over the Courant limit" in page
+    assert len(report["failed"]) == 1 and "Courant limit" in report["failed"][0]  # with twice the cell it is no limit
+    assert "failed: time step refused at t = " in page
     checks = {one["name"]: one["holds"] for one in report["checks"]}
     assert checks["implicit run-out agrees with explicit"] is None
     assert "could not be judged: implicit run-out agrees with explicit" in report["verdict"]["sentence"]
@@ -149,6 +156,8 @@ def test_a_column_that_stands_is_not_held_against_eq4(tmp_path):
     assert not any("run-out" in one["name"] for one in report["checks"])
     texts = [text for section in report["sections"] for text in section["text"]]
     assert any("only friction holds" in text for text in texts)
+    assert any("It stands: its height 0.5 m is below" in text for text in texts)
+    assert {summary["eq4"] for summary in report["runs"].values()} == {None}
 
 
 def test_run_outs_are_checked_against_the_other_solver_eq4_and_twice_the_cell():

@@ -258,6 +258,14 @@ def test_paper_extent_is_refused_for_a_full_column():
     assert "only for a quarter column" in line
 
 
+def test_the_papers_walls_must_not_stand_inside_the_column():
+    """They are at 4 h0: lambda0 = 1/4 just fits."""
+    settings = ["grid.extent=paper", "grid.cell=0.125"]
+    assert load_scene(COLUMN, [*settings, "geometry.aspect_ratio=0.25"]).geometry.height == 0.25
+    line = the_problem(COLUMN, *settings, "geometry.aspect_ratio=0.125")
+    assert "walls at x, y = 4 h0 = 0.5" in line and "aspect_ratio must be >= 0.25 [-]" in line
+
+
 def test_without_gravity_rest_has_no_time_scale():
     rest, history = problems(COLUMN, "loads.gravity=0")
     assert rest.startswith("explicit.until = 'rest'") and "[s]" in rest
