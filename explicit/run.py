@@ -198,19 +198,15 @@ class ExplicitRun(Run):
             return False
         return abs(runout - earlier) < REST_DRIFT * (1.0 + runout)
 
-    def field_makers(self) -> dict:
-        """For each of the solver's point fields, a function that gives it."""
+    def own_fields(self) -> dict:
+        """For each of the point fields that the solver knows itself, a function that gives it."""
         solver = self.solver
-        makers = {
-            "displacement": lambda: self.x - self.body.x,
+        own = {
             "velocity": solver.v.numpy,
             "stress": lambda: solver.sigma,
-            "pressure": lambda: -solver.sigma[:, :3].mean(axis=1),
-            "volume": lambda: self.body.point_volume * solver.volume_ratio,
+            "volume_ratio": lambda: solver.volume_ratio,
         }
-        if self.body.constants.plastic:
-            makers["eps_p_eqv"] = solver.eps_p_eqv.numpy
-        return makers
+        return own | ({"eps_p_eqv": solver.eps_p_eqv.numpy} if self.body.constants.plastic else {})
 
     def figures(self) -> dict:
         """What the explicit solver adds to the summary."""

@@ -115,19 +115,15 @@ class ImplicitRun(Run):
             raise NumericalError(f"diverged at step {solver.steps}: {wrong}")
         return row
 
-    def field_makers(self) -> dict:
-        """For each of the solver's point fields, a function that gives it."""
+    def own_fields(self) -> dict:
+        """For each of the point fields that the solver knows itself, a function that gives it."""
         solver, points = self.solver, self.solver.state
-        makers = {
-            "displacement": lambda: self.x - self.body.x,
+        own = {
             "velocity": points.v.numpy,
             "stress": lambda: points.sigma(solver.material),
-            "pressure": lambda: -points.sigma(solver.material)[:, :3].mean(axis=1),
-            "volume": lambda: points.jacobian.numpy() * points.volume,
+            "volume_ratio": points.jacobian.numpy,
         }
-        if self.body.constants.plastic:
-            makers["eps_p_eqv"] = points.eps_p_eqv.numpy
-        return makers
+        return own | ({"eps_p_eqv": points.eps_p_eqv.numpy} if self.body.constants.plastic else {})
 
     def state(self) -> dict:
         """What a checkpoint holds beside what every run has."""

@@ -16,11 +16,12 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from mpm.command import command
 from mpm.drucker_prager import CONES, Constants, dilatancy_slope, friction_cone
 from mpm.errors import SceneError
+from mpm.fields import PLASTIC, UNITS
 from mpm.wording import explain, says_less, shown
 
 Wall = Literal["free", "roller", "fixed"]
 Symmetry = Literal["quarter", "half", "full"]
-FIELDS = ("displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume")
+FIELDS = tuple(UNITS)
 MOST_POINTS = 1e9  # beyond this a length was meant in another unit; it would exhaust memory
 
 
@@ -164,7 +165,9 @@ class Output(Section):
         ge=1e-6,
     )
     fields: tuple[Literal[FIELDS], ...] = Field(
-        ("displacement", "velocity", "stress", "eps_p_eqv"), description="point fields of the snapshots", strict=False
+        ("displacement", "velocity", "stress", "eps_p_eqv", "volume_ratio"),
+        description="point fields of the snapshots",
+        strict=False,
     )
     vtk: bool = Field(True, description="also write ParaView files (vtk/run.pvd)")
 
@@ -233,7 +236,7 @@ def parse_scene(table: dict) -> Scene:
         problems = [explain(item, Scene) for item in error.errors() if not says_less(item)]
         raise SceneError(problems) from None
     if scene.material.model == "elastic" and "fields" not in scene.output.model_fields_set:
-        fields = tuple(name for name in scene.output.fields if name != "eps_p_eqv")
+        fields = tuple(name for name in scene.output.fields if name not in PLASTIC)
         scene = scene.model_copy(update={"output": scene.output.model_copy(update={"fields": fields})})
     problems = _cross_checks(scene)
     if problems:
@@ -317,8 +320,9 @@ def _cross_checks(scene: Scene) -> list[str]:
         problems += [
             f"{key}: without gravity it has no time scale, give it in [s]" for key, yes in needs.items() if yes
         ]
-    if material.model == "elastic" and "eps_p_eqv" in scene.output.fields:
-        problems.append("output.fields: 'eps_p_eqv' does not exist when material.model = 'elastic'")
+    if material.model == "elastic":
+        missing = [name for name in scene.output.fields if name in PLASTIC]
+        problems += [f"output.fields: '{name}' does not exist when material.model = 'elastic'" for name in missing]
     return problems
 
 

@@ -6,7 +6,7 @@ A run directory holds
                      static/NAME; snapshots/000000/FIELD with attributes `time` [s] and `step`; history/COLUMN
     checkpoint.h5    the newest restart state, replaced whole
     summary.json     written when the run ends
-    vtk/, *.png      made from the above by `mpm.vtk` and `compare.plots`
+    vtk/, csv/, *.png  made from the above by `mpm.vtk`, `mpm.export` and `compare.plots`
 
 Arrays keep the precision they are given in. All quantities are SI.
 """
@@ -293,15 +293,17 @@ def _temporary(path: Path) -> Path:
 
 
 def _remove_run_files(folder: Path) -> None:
-    """Remove what a run writes in `folder`; other files, also in vtk/, stay."""
+    """Remove what a run writes in `folder`; other files, also in vtk/ and csv/, stay."""
     files = [folder / name for name in (RESULTS, CHECKPOINT, SUMMARY, *PLOTS)]
     files += [_temporary(folder / CHECKPOINT), _temporary(folder / SUMMARY)]
     files += [folder / "vtk" / name for name in ("background.xdmf", "background.h5")]
     files += [folder / "vtk" / "run.pvd", *folder.glob("vtk/" + "[0-9]" * 6 + ".vtu")]
+    files += [folder / "csv" / "snapshots.csv", *folder.glob("csv/" + "[0-9]" * 6 + ".csv")]
     for path in files:
         path.unlink(missing_ok=True)
-    with suppress(OSError):  # not there, or not empty: somebody's own files are in it
-        (folder / "vtk").rmdir()
+    for name in ("vtk", "csv"):
+        with suppress(OSError):  # not there, or not empty: somebody's own files are in it
+            (folder / name).rmdir()
 
 
 def _python(value):

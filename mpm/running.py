@@ -9,6 +9,7 @@ import numpy as np
 from mpm.command import command
 from mpm.config import parse_scene
 from mpm.errors import NumericalError, SceneError
+from mpm.fields import friction_mobilised, pressure
 from mpm.geometry import Seeds
 from mpm.packing import packing
 from mpm.provenance import peak_memory_mb
@@ -24,7 +25,7 @@ FARTHEST = 1e4  # of the body's first radii and heights from the origin: beyond,
 
 
 class Interrupted(KeyboardInterrupt):
-    """The user asked the run to stop; a checkpoint was saved."""
+    """The user, or the system by SIGTERM, asked the run to stop; a checkpoint was saved."""
 
 
 def reopen(directory) -> Results:
@@ -100,8 +101,9 @@ class Run:
         """The history row before any step."""
         raise NotImplementedError
 
-    def field_makers(self) -> dict:
-        """For each of the solver's point fields (see `mpm.config.FIELDS`), a function that gives it."""
+    def own_fields(self) -> dict:
+        """For each of the point fields that the solver knows itself, a function that gives it: velocity, stress,
+        volume_ratio and, where the material yields, eps_p_eqv."""
         raise NotImplementedError
 
     def state(self) -> dict:
@@ -178,7 +180,7 @@ class Run:
         """Step until the run ends, Ctrl-C or divergence; write the summary and return it.
 
         `started`: `time.perf_counter()` when set-up began. Raises NumericalError, whose message names the last
-        checkpoint, and Interrupted, after a checkpoint.
+        checkpoint, and Interrupted, after a checkpoint; ParaView files are written first, up to the last snapshot.
         """
         self.setup_s = time.perf_counter() - started
         self.stepping_since = time.perf_counter()
@@ -188,20 +190,30 @@ class Run:
             with _deferred_interrupt() as interrupt:
                 self._loop(interrupt, monitor)
                 summary = self.summary()
-                if self.body.scene.output.vtk:
-                    write_vtk(self.results)
-                    self.write_grid()
+                self.write_paraview()
                 self.results.finish(summary)
+        except Interrupted:
+            self.write_paraview()  # by now a second Ctrl-C ends the program at once
+            raise
         except NumericalError as error:
             with suppress(NumericalError):  # of a state that is spoilt: the last checkpoint is the last good one
                 if self.state_is_whole(error):
                     self.save(self.whole_state())
+            with suppress(OSError):  # `error` is what a user must read
+                self.write_paraview(grid=False)  # whose last increment is one that failed
             saved = self.results.directory / "checkpoint.h5"
             raise NumericalError(f"{error}\nlast good state: t = {self.saved_time:.6g} s in {saved}") from None
         finally:
             if monitor:
                 monitor.stop(self)
         return summary
+
+    def write_paraview(self, grid=True):
+        """ParaView files of the snapshots so far, where the scene wants any; `grid`: the solver's mesh beside them."""
+        if self.body.scene.output.vtk:
+            write_vtk(self.results)
+            if grid:
+                self.write_grid()
 
     def _loop(self, interrupt, monitor):
         while self.stop_reason is None:
@@ -212,6 +224,20 @@ class Run:
                 self.save(self.whole_state())
                 where = self.results.directory
                 raise Interrupted(f"stopped at t = {self.solver.time:.6g} s; `{command('resume', where)}` goes on")
+
+    def field_makers(self) -> dict:
+        """For each of the point fields (see `mpm.fields.UNITS`), a function that gives it."""
+        own, body = self.own_fields(), self.body
+        makers = own | {
+            "displacement": lambda: self.x - body.x,
+            "pressure": lambda: pressure(own["stress"]()),
+            "volume": lambda: body.point_volume * own["volume_ratio"](),
+        }
+        if body.constants.plastic:
+            makers["friction_mobilised"] = lambda: friction_mobilised(
+                own["stress"](), own["volume_ratio"](), body.constants
+            )
+        return makers
 
     def add_row(self, row: dict[str, float]):
         """A history row, written with the next checkpoint."""
@@ -280,17 +306,19 @@ class _Flag:
 
 @contextmanager
 def _deferred_interrupt():
-    """Turn Ctrl-C into a flag, so that a batch of steps ends before the checkpoint is written."""
+    """Turn Ctrl-C and `kill` into a flag, so that a batch of steps ends before the checkpoint is written."""
     flag = _Flag()
 
     def ask(_signal, _frame):
         flag.asked = True
 
-    previous = None
+    previous = {}
     with suppress(ValueError):  # not the main thread: leave signals alone
-        previous = signal.signal(signal.SIGINT, ask)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            previous[number] = signal.signal(number, ask)
     try:
         yield flag
     finally:
-        if previous is not None:
-            signal.signal(signal.SIGINT, previous)
+        for number, handler in previous.items():
+            if handler is not None:  # None: set by another language's library
+                signal.signal(number, handler)

@@ -5,7 +5,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from mpm.errors import SceneError
+from mpm.export import Snapshots
 from mpm.results import Results
 
 # Stored are xx, yy, zz, yz, xz, xy; ParaView reads six components as xx, yy, zz, xy, yz, xz.
@@ -15,34 +15,24 @@ _PARAVIEW_TENSOR = [0, 1, 2, 5, 3, 4]
 def write_vtk(results: Results, fields: list[str] | None = None, directory=None) -> Path:
     """Write every snapshot for ParaView and return the path of the collection, run.pvd.
 
-    fields: names of the point data to write, by default all; positions [m] always come from "x".
-    directory: where to, by default vtk/ in the run directory.
-    Raises SceneError where there is no snapshot, or a field that no snapshot has.
+    fields: names of the point data to write, by default all (see `mpm.export.Snapshots`); positions [m] always come
+    from "x". directory: where to, by default vtk/ in the run directory.
+    Raises SceneError where there is no snapshot, or for a field that there is not.
     """
-    available = results.field_names
-    names = [name for name in available if name != "x"] if fields is None else list(fields)
-    _check(results, names, available)
+    snapshots = Snapshots(results, fields)
     folder = Path(directory) if directory is not None else results.directory / "vtk"
     folder.mkdir(parents=True, exist_ok=True)
 
     collection = ElementTree.Element("VTKFile", type="Collection", version="0.1")
     series = ElementTree.SubElement(collection, "Collection")
-    for index, time in enumerate(results.times):
+    for index, snapshot in enumerate(snapshots):
         file_name = f"{index:06d}.vtu"
-        _write_points(folder / file_name, results.snapshot(index, ["x", *names]), names)
-        ElementTree.SubElement(series, "DataSet", timestep=repr(float(time)), part="0", file=file_name)
+        _write_points(folder / file_name, snapshot, snapshots.names)
+        ElementTree.SubElement(series, "DataSet", timestep=repr(snapshot["time"]), part="0", file=file_name)
     ElementTree.indent(collection)
     path = folder / "run.pvd"
     ElementTree.ElementTree(collection).write(path, encoding="utf-8", xml_declaration=True)
     return path
-
-
-def _check(results, names, available):
-    if results.snapshot_count == 0:
-        raise SceneError(f"{results.directory} has no snapshot to write")
-    unknown = [name for name in names if name not in available]
-    if unknown:
-        raise SceneError(f"no field {', '.join(unknown)} in {results.directory}: it has {', '.join(available)}")
 
 
 def _write_points(path, snapshot, names):

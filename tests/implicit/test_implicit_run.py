@@ -21,7 +21,7 @@ from implicit.relaxation import Regularisation
 from implicit.run import resume, run
 
 COARSE = ["grid.cell=0.25", "output.every=0.2"]
-FIELDS = ["displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume"]
+FIELDS = ["displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume", "volume_ratio", "friction_mobilised"]
 
 
 def column(*settings):
@@ -81,6 +81,11 @@ def test_a_column_comes_to_rest_with_all_its_outputs(tmp_path):
     first = results.snapshot(0)
     np.testing.assert_allclose(first["volume"], 0.125**3, rtol=0.01)
     assert first["pressure"].mean() > 1e3  # it starts under its own weight
+    # at rest sqrt(J2)/p = 3^(1/2) (1 - K0)/(1 + 2 K0), K0 = nu/(1 - nu) = 3/7, over eta = sin(phi)
+    at_rest = np.sqrt(3.0) * (4 / 7) / (13 / 7) / np.sin(np.radians(37.55))
+    np.testing.assert_allclose(first["friction_mobilised"], at_rest, rtol=1e-5)
+    assert last["friction_mobilised"].max() == pytest.approx(1.0, abs=1e-3)
+    np.testing.assert_allclose(last["volume"], 0.125**3 * last["volume_ratio"], rtol=1e-6)
     assert results.provenance["mode"] == "implicit"
 
 
