@@ -1,4 +1,4 @@
-"""The command line: `repose run | resume | plot | compare | study | bench | validate | scenes | info | demo`."""
+"""The command line: run, resume, plot, export, compare, study, bench, validate, scenes, info, demo."""
 
 import itertools
 import shlex
@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from compare.options import SpacedNumbers
+from compare.options import SpacedNumbers, SpacedWords
 from compare.solvers import runs_of
 from compare.terminal import BatchMonitor, Monitor, announce, err, out, summary_table
 from mpm.command import command
@@ -28,10 +28,17 @@ class Mode(StrEnum):
     implicit = "implicit"
 
 
+class Format(StrEnum):
+    vtu = "vtu"
+    csv = "csv"
+
+
 class Precision(StrEnum):
     float32 = "float32"
     float64 = "float64"
 
+
+DEMO = ("column_small", [])  # scene and settings
 
 study = typer.Typer(help="Many runs and a report of them; what is finished is kept.", no_args_is_help=True)
 app.add_typer(study, name="study")
@@ -80,6 +87,23 @@ def plot(directory: DirArg):
     """Draw morphology.png, history.png and, for a column, profile.png in DIR."""
     for path in _draw(directory):
         out.print(str(path))
+
+
+@app.command(cls=SpacedWords)
+def export(
+    directory: DirArg,
+    fields: Annotated[list[str], typer.Option(metavar="NAME...", help="point fields, in place of all")] = [],  # noqa: B006
+    format: Annotated[Format, typer.Option(help="vtu for ParaView, csv: a table a snapshot")] = Format.vtu,
+    target: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="default: vtk or csv in DIR")] = None,
+):
+    """Write the snapshots of a run as files of other programs, also of one that was stopped, killed or failed."""
+    from mpm.export import write_csv
+    from mpm.results import Results
+    from mpm.vtk import write_vtk
+
+    write = write_csv if format is Format.csv else write_vtk
+    results = Results.open(directory)
+    out.print(f"{write(results, fields or None, target)} lists {results.snapshot_count} snapshots")
 
 
 @app.command()
@@ -241,17 +265,15 @@ def info():
 
 @app.command()
 def demo(directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path("runs/demo")):
-    """A small quarter column by both solvers, with pictures; replaces the last demo."""
-    from mpm.config import load_scene
+    """A small quarter column by both solvers, beside theory, as a page to open; replaces the last demo."""
+    from compare.comparison import compare_solvers
 
-    scene, run_outs = load_scene("column_small"), []
-    for mode in Mode:
-        folder = directory / mode.value
-        summary = _follow(folder, runs_of(mode.value).run, scene, folder, force=True, monitor=Monitor())
-        for path in _draw(folder):
-            out.print(str(path))
-        run_outs.append(f"{mode.value} {summary['R_995']:.4f}")
-    out.print(f"run-out R_995: {', '.join(run_outs)}; quasistatic theory (Eq. 4) {summary['eq4']:.4f}")
+    report = _reported(directory, True, compare_solvers, *DEMO, "cpu")
+    if not report["failed"]:
+        implicit, explicit = list(report["runs"].values())[:2]
+        run_outs = f"explicit {explicit['R_995']:.4f}, implicit {implicit['R_995']:.4f}"
+        out.print(f"run-out R_995: {run_outs}; quasistatic theory (Eq. 4) {explicit['eq4']:.4f}")
+    _open(directory, report)
 
 
 def _announced(reference: str, settings: list[str]):
@@ -264,20 +286,29 @@ def _announced(reference: str, settings: list[str]):
     return scene
 
 
-def _follow(folder: Path, solve, *arguments, **named) -> dict:
-    """Call `solve`, report the summary of the run in `folder` and return it, or say where Ctrl-C stopped it."""
+def _follow(folder: Path, solve, *arguments):
+    """Call `solve(*arguments)` and report the summary of the run in `folder`, or say where Ctrl-C stopped it."""
+    pvd = folder / "vtk" / "run.pvd"
     try:
-        summary = solve(*arguments, **named)
-    except KeyboardInterrupt as stop:  # not left to `main`: typer turns it into a bare exit code
-        err.print(str(stop) or "interrupted")
+        summary = solve(*arguments)
+    except (KeyboardInterrupt, NumericalError) as stop:
+        if str(stop) and pvd.is_file():  # stopped in mid-run, not while it was set up
+            out.print(f"ParaView opens {pvd}, up to the last snapshot")
+        if isinstance(stop, NumericalError):
+            raise
+        err.print(str(stop) or "interrupted")  # not left to `main`: typer turns it into a bare exit code
         raise typer.Exit(INTERRUPTED) from None
     out.print(summary_table(summary))
-    vtk = "; ParaView opens vtk/run.pvd" if (folder / "vtk" / "run.pvd").is_file() else ""
+    vtk = "; ParaView opens vtk/run.pvd" if pvd.is_file() else ""
     out.print(f"results in {folder} (`{command('plot', folder)}` draws them{vtk})")
-    return summary
 
 
 def _report(directory: Path, force: bool, make, *arguments):
+    """Write a report (see `_reported`) and say what to open; exit code 3 where a run failed."""
+    _open(directory, _reported(directory, force, make, *arguments))
+
+
+def _reported(directory: Path, force: bool, make, *arguments) -> dict:
     """Let `make(directory, force, monitor, asked, *arguments)` compute a report; write it and print its verdict."""
     from compare.report import write_report
 
@@ -287,9 +318,16 @@ def _report(directory: Path, force: bool, make, *arguments):
     except KeyboardInterrupt as stop:
         err.print(str(stop) or "interrupted")
         raise typer.Exit(INTERRUPTED) from None
-    page = write_report(report, directory)
+    write_report(report, directory)
     out.print(f"verdict: {report['verdict']['sentence']}")
-    out.print(f"report in {page}")
+    return report
+
+
+def _open(directory: Path, report: dict):
+    """Say which page to open; exit code 3 where a run of the report failed."""
+    from compare.report import REPORT_HTML
+
+    out.print(f"open {directory / REPORT_HTML} in a browser")
     if report["failed"]:
         raise typer.Exit(NumericalError.exit_code)
 

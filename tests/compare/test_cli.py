@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 from typing import NamedTuple
+from xml.etree import ElementTree
 
 import h5py
 import meshio
@@ -163,6 +164,28 @@ def test_a_folder_in_use_is_refused_and_force_replaces_the_run(repose, refused, 
     assert json.loads((tmp_path / "mine" / "summary.json").read_text())["sim_time"] == pytest.approx(0.01)
     assert len(list((tmp_path / "mine" / "vtk").glob("*.vtu"))) == 2
     assert (tmp_path / "mine" / "notes.txt").read_text() == "keep me"
+
+
+# export
+
+
+def test_export_writes_chosen_fields_again_as_vtu_or_csv(repose, refused, tmp_path):
+    repose("run", *TINY, "--set", "output.vtk=false", "--out", "mine")
+    answer = repose("export", "mine")
+    assert (answer.code, answer.out) == (0, "mine/vtk/run.pvd lists 4 snapshots\n")
+    every = {"displacement", "velocity", "stress", "eps_p_eqv", "volume_ratio", "pressure", "friction_mobilised"}
+    assert set(meshio.read("mine/vtk/000003.vtu").point_data) == every
+    answer = repose("export", "mine", "--fields", "pressure", "velocity", "--out", "there")
+    assert answer.out == "there/run.pvd lists 4 snapshots\n"
+    assert set(meshio.read("there/000003.vtu").point_data) == {"pressure", "velocity"}
+    answer = repose("export", "mine", "--format", "csv", "--fields", "pressure", "eps_p_eqv")
+    assert answer.out == "mine/csv/snapshots.csv lists 4 snapshots\n"
+    heading, *rows = (tmp_path / "mine" / "csv" / "000003.csv").read_text().splitlines()
+    assert heading == "x [m],y [m],z [m],pressure [Pa],eps_p_eqv [-]"
+    assert len(rows) == 208
+    message = refused("export", "mine", "--fields", "velocity", "speed")
+    assert message.startswith("error: no field speed in mine: it has displacement, ")
+    assert "no run in nowhere" in refused("export", "nowhere")
 
 
 # scenes, info, validate
@@ -443,12 +466,24 @@ main()
 """
 
 
-def test_implicit_mode_without_dolfinx_says_what_it_lacks(tmp_path):
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", *TINY, "--mode", "implicit"],
+        ["validate", *TINY, "--mode", "implicit"],
+        ["compare", "column_small"],
+        ["demo"],
+        ["study", "error", "column_small"],
+        ["study", "paper", "--quick"],
+        ["bench", "implicit"],
+    ],
+    ids=lambda arguments: " ".join(arguments[:2]),
+)
+def test_without_dolfinx_what_needs_it_says_so_before_anything_runs(tmp_path, arguments):
     """In a process of its own: here dolfinx may be imported already."""
-    arguments = ["run", *TINY, "--mode", "implicit"]
     command = [sys.executable, "-c", HIDE_DOLFINX, *arguments]
     answer = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
-    assert answer.returncode == 2
+    assert (answer.returncode, answer.stdout) == (2, "")
     assert answer.stderr.startswith("error: ")
     assert len(answer.stderr.splitlines()) == 1
     assert APT_LINE in answer.stderr
@@ -497,22 +532,30 @@ def test_implicit_mode_refuses_a_gpu(refused, tmp_path):
 
 
 @needs_dolfinx
-def test_demo_runs_both_solvers_and_compares_them(repose, tmp_path, monkeypatch):
-    from mpm import config
-
-    short = ["grid.cell=0.25", "explicit.until=0.05", "implicit.max_steps=3"]
-    monkeypatch.setattr(config, "load_scene", lambda name: load_scene(name, short))
+def test_demo_ends_with_the_page_to_open_that_compare_makes(repose, tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        cli, "DEMO", ("column_small", ["grid.cell=0.25", "explicit.max_time=0.2", "implicit.max_steps=3"])
+    )
     answer = repose("demo")
     assert (answer.code, answer.err) == (0, "")
-    run_outs = {}
-    for mode in ("explicit", "implicit"):
-        folder = tmp_path / "runs" / "demo" / mode
-        assert {path.name for path in folder.glob("*.png")} == {"morphology.png", "profile.png", "history.png"}
-        run_outs[mode] = Results.open(folder).summary()["R_995"]
-    explicit, implicit = (f"{mode} {value:.4f}" for mode, value in run_outs.items())
-    expected = f"run-out R_995: {explicit}, {implicit}; quasistatic theory (Eq. 4) 0.3074"
-    assert answer.out.splitlines()[-1] == expected
-    assert repose("demo").code == 0
+    report = json.loads((tmp_path / "runs" / "demo" / "report.json").read_text())
+    runs = {name: report["runs"][name]["R_995"] for name in ("explicit, D = 0.4", "implicit")}
+    explicit, implicit = (f"{value:.4f}" for value in runs.values())
+    *_, run_outs, page = answer.out.splitlines()
+    assert run_outs == f"run-out R_995: explicit {explicit}, implicit {implicit}; quasistatic theory (Eq. 4) 0.3074"
+    assert page == "open runs/demo/report.html in a browser"
+    assert "draws them" not in answer.out
+    html = (tmp_path / "runs" / "demo" / "report.html").read_text(encoding="utf-8")
+    assert html.count("data:image/png;base64,") == 5
+    assert len(list(tmp_path.glob("runs/demo/runs/*/vtk/run.pvd"))) == 4
+    assert repose("demo").code == 0  # replaces the last one
+
+
+def snapshots_for_paraview(folder) -> list[float]:
+    """Times [s] that folder/vtk/run.pvd lists; the files are there."""
+    entries = ElementTree.parse(folder / "vtk" / "run.pvd").getroot().findall("Collection/DataSet")
+    assert all((folder / "vtk" / entry.get("file")).is_file() for entry in entries)
+    return [float(entry.get("timestep")) for entry in entries]
 
 
 # Exit code 3: the numbers go wrong
@@ -526,6 +569,8 @@ def test_a_time_step_that_motion_makes_too_long_names_the_courant_limit(repose, 
     assert re.match(r"numerical failure: time step refused at t = 0\.0\d+ s, step \d+: ", answer.err)
     assert f"explicit.time_step = {step:.4g}: over the Courant limit, must be at most h/(c + |v|) = " in answer.err
     assert re.search(r"last good state: t = 0\.0\d+ s in mine/checkpoint\.h5", answer.err)
+    assert answer.out.endswith("ParaView opens mine/vtk/run.pvd, up to the last snapshot\n")
+    assert snapshots_for_paraview(tmp_path / "mine") == list(Results.open(tmp_path / "mine").times)
     state = Results.open(tmp_path / "mine").read_checkpoint()
     assert state["x"].shape == (208, 3)
     assert np.isfinite(state["x"]).all()
@@ -596,8 +641,43 @@ def test_ctrl_c_in_the_middle_says_where_it_stopped(repose, tmp_path):
     stopped = float(run.read_checkpoint()["clock"][0])
     assert 0 < stopped < 0.2
     assert answer.err == f"stopped at t = {stopped:.6g} s; `repose resume mine` goes on\n"
+    assert answer.out.endswith("ParaView opens mine/vtk/run.pvd, up to the last snapshot\n")
+    assert snapshots_for_paraview(tmp_path / "mine") == list(run.times) == [0.0]
     assert run.history()["time"][-1] == pytest.approx(stopped)
     assert repose("resume", "mine").code == 0
     times = run.history()["time"]
     assert np.all(np.diff(times) > 0)
     assert times[-1] == pytest.approx(0.2)
+    assert snapshots_for_paraview(tmp_path / "mine") == list(run.times)
+
+
+def killed_at_a_snapshot(number, tmp_path) -> Results:
+    """A run whose process gets the signal `number` once its third snapshot is there."""
+    settings = ("--set", "explicit.until=20", "--set", "output.every=0.5")
+    process = start("run", *COARSE, *settings, "--out", "mine", cwd=tmp_path)
+    assert process.stdout.readline().startswith("column_small: explicit, 208 points")
+    run = Results.open(tmp_path / "mine")
+    while run.snapshot_count < 3:
+        assert process.poll() is None
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == (130 if number == signal.SIGTERM else -number), err
+    assert not (tmp_path / "mine" / "summary.json").exists()
+    return run
+
+
+def test_a_killed_run_is_exported_and_resumed_with_all_its_paraview_files(repose, tmp_path):
+    """kill -9: nothing can be written at that moment."""
+    run = killed_at_a_snapshot(signal.SIGKILL, tmp_path)
+    assert not (tmp_path / "mine" / "vtk").exists()
+    assert repose("export", "mine").code == 0
+    assert snapshots_for_paraview(tmp_path / "mine") == list(run.times)
+    assert repose("resume", "mine").code == 0
+    np.testing.assert_allclose(snapshots_for_paraview(tmp_path / "mine"), np.arange(41) * 0.5)
+
+
+def test_kill_stops_a_run_as_ctrl_c_does(repose, tmp_path):
+    run = killed_at_a_snapshot(signal.SIGTERM, tmp_path)
+    assert snapshots_for_paraview(tmp_path / "mine") == list(run.times)
+    assert repose("resume", "mine").code == 0
+    assert run.summary()["sim_time"] == pytest.approx(20.0)
