@@ -79,7 +79,7 @@ class Machine:
         for state in states:
             (self.state / state).touch()
 
-    def start(self, *arguments: str, program: Path | None = None, cwd: Path | None = None) -> subprocess.Popen:
+    def start(self, *arguments: str, program: Path | str | None = None, cwd: Path | None = None) -> subprocess.Popen:
         return subprocess.Popen(
             [program or self.root / "repose", *arguments],
             cwd=cwd or self.root.parent,
@@ -140,6 +140,13 @@ def test_is_found_through_symbolic_links(machine, tmp_path):
     relative.symlink_to("absolute")
     assert machine.run("demo", program=relative, cwd=tmp_path).stdout == f"{tmp_path}|demo|"
     assert machine.stamp.exists()
+
+
+def test_the_program_is_told_how_it_was_called(machine):
+    machine.run()
+    machine.executable(machine.root / ".venv" / "bin" / "repose", '#!/bin/sh\nprintf %s "$REPOSE_COMMAND"\n')
+    assert machine.run(program="./repose", cwd=machine.root).stdout == "./repose"
+    assert machine.run().stdout == str(machine.root / "repose")
 
 
 def test_a_fresh_environment_costs_one_look_and_says_nothing(machine):
