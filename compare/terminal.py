@@ -6,9 +6,6 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mpm.precheck import doubts
-from mpm.scene import outlook
-
 PLAIN_EVERY = 10.0  # seconds between progress lines when the output is not a terminal
 BATCH_PLAIN_EVERY = 60.0  # likewise of a study, whose runs say more in their logs
 # How far a run is, in the unit of its `progress`.
@@ -41,6 +38,9 @@ def banner(run) -> str:
 
 def announce(body):
     """What to know of a body before it is computed: values that look like another unit, whether it will stand."""
+    from mpm.precheck import doubts  # slow to import, and `repose --help` needs none of it
+    from mpm.scene import outlook
+
     for doubt in doubts(body):
         err.print(f"warning: {doubt}", style="yellow")
     if said := outlook(body):
