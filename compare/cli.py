@@ -250,14 +250,22 @@ def info():
     table = Table(box=None, padding=(0, 2))
     for heading in ("package", "version", "needed for"):
         table.add_column(heading)
-    missing = {}
-    for package in installed():
+    packages, refusal = installed(), None
+    for package in packages:
         table.add_row(package.name, package.version or "missing", package.needed_for)
-        if not package.version:
-            missing.setdefault(package.how_to_get, []).append(package.name)
+    try:
+        from implicit._dolfinx import libraries
+
+        for name, version in libraries().items():
+            table.add_row(name, version, "the implicit solver")
+    except SceneError as error:
+        refusal = error
     out.print(table)
-    for how, names in missing.items():  # a line of its own: a table would break it, and it is there to be copied
-        out.print(f"to get {' and '.join(names)}: {how}")
+    # Lines of their own: a table would break them, and they are there to be copied.
+    if missing := [package.name for package in packages if not package.version]:
+        out.print(f"to get {' and '.join(missing)}: run ./repose, which installs what it needs")
+    if refusal:
+        out.print(str(refusal))
     for device in warp_devices():
         out.print(f"device {device['alias']}: {device['name']}, {device['memory_mb']:,.0f} MB")
     out.print(f"commit {git_commit(PROJECT)}")

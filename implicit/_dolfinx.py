@@ -1,15 +1,20 @@
-"""The one place that imports dolfinx and petsc4py, so that the rest of Repose works without them."""
+"""The one place that imports dolfinx and petsc4py and knows their versions; the rest of Repose works without them."""
 
+import logging
 import sys
+from importlib.util import find_spec
+from inspect import signature
 
 from mpm.errors import SceneError
-from mpm.provenance import DOLFINX_APT
+from mpm.provenance import how_to_get_dolfinx
+
+OLDEST, NEWEST = (0, 5), (0, 11)  # versions of dolfinx that Repose works with
 
 
 def _import_dolfinx():
     """Import dolfinx without what its `__init__` does to every import after it.
 
-    dolfinx 0.5 sets RTLD_GLOBAL for all shared libraries loaded from then on and leaves it set. h5py and VTK
+    dolfinx before 0.8 sets RTLD_GLOBAL for all shared libraries loaded from then on and leaves it set. h5py and VTK
     bring their own HDF5, whose symbols then mix with those of Debian's: importing them fails or crashes.
     Debian's dolfinx runs without the flag, in parallel too.
     """
@@ -17,22 +22,79 @@ def _import_dolfinx():
     sys.setdlopenflags = lambda flags: None
     try:
         import dolfinx
+        import dolfinx.fem.petsc
         import dolfinx.io
     finally:
         sys.setdlopenflags = set_flags
     return dolfinx
 
 
+def _refused(found: str, how: str) -> SceneError:
+    return SceneError(
+        f"the implicit solver needs dolfinx 0.5 to 0.11 and petsc4py with real scalars, but {found}; "
+        f"to get them, {how}; the explicit half works without them"
+    )
+
+
+def _check_version(dolfinx):
+    """Raises SceneError for a dolfinx that is older or newer than Repose knows."""
+    version = dolfinx.__version__
+    if not OLDEST <= tuple(int(number) for number in version.split(".")[:2]) <= NEWEST:
+        raise _refused(f"dolfinx is {version}", how_to_get_dolfinx(from_apt=False))
+
+
 try:
+    if find_spec("dolfinx_solver"):  # PyPI's wheel: loads the MPI library that all the others must share
+        import dolfinx_solver  # noqa: F401
+    import petsc4py
     import ufl
     from mpi4py import MPI
     from petsc4py import PETSc
 
+    if PETSc.ScalarType.__name__.startswith("complex"):
+        raise _refused(f"petsc4py {petsc4py.__version__} has complex scalars", how_to_get_dolfinx())
     dolfinx = _import_dolfinx()
+except ModuleNotFoundError as error:
+    raise _refused(f"{error.name} is not installed", how_to_get_dolfinx()) from error
 except ImportError as error:
-    raise SceneError(
-        f"the implicit solver needs dolfinx and petsc4py, which cannot be imported ({error}); "
-        f"on Debian 12 install them, as root, with: {DOLFINX_APT}; the explicit half works without them"
-    ) from error
+    raise _refused(f"what is installed cannot be loaded ({error})", how_to_get_dolfinx()) from error
+_check_version(dolfinx)
+# The form compiler tells each of its stages where someone has asked for INFO.
+logging.getLogger("ffcx").setLevel(logging.WARNING)
 
-__all__ = ["MPI", "PETSc", "dolfinx", "ufl"]
+
+def libraries() -> dict[str, str]:
+    """Versions of dolfinx, PETSc, petsc4py, mpi4py and the MPI library, as a run's provenance keeps them."""
+    import mpi4py
+
+    mpi = MPI.Get_library_version().splitlines()[0].split(",")[0]
+    return {
+        "dolfinx": dolfinx.__version__,
+        "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
+        "petsc4py": petsc4py.__version__,
+        "mpi4py": mpi4py.__version__,
+        "mpi": " ".join(mpi.replace("\0", "").split()),
+    }
+
+
+def hexahedra(comm, cells, points):
+    """dolfinx mesh of first-order hexahedra `cells` (m, 8) int64, their corners x fastest, on `points` (n, 3) [m]."""
+    if hasattr(dolfinx.fem, "functionspace"):  # from 0.7 on
+        from basix.ufl import element
+
+        domain = ufl.Mesh(element("Lagrange", "hexahedron", 1, shape=(3,)))
+    else:
+        domain = ufl.Mesh(ufl.VectorElement("Lagrange", ufl.Cell("hexahedron"), 1))
+    # By name: 0.10 exchanged points and domain.
+    name = "domain" if "domain" in signature(dolfinx.mesh.create_mesh).parameters else "e"
+    return dolfinx.mesh.create_mesh(comm, cells, **{"x": points, name: domain})
+
+
+def function_space(mesh, family: str, degree: int, shape: tuple[int, ...] = ()):
+    """dolfinx space of functions on `mesh` with values of `shape`: () for scalars, (3,) for vectors."""
+    if hasattr(dolfinx.fem, "functionspace"):  # from 0.7 on
+        return dolfinx.fem.functionspace(mesh, (family, degree, shape) if shape else (family, degree))
+    return (dolfinx.fem.VectorFunctionSpace if shape else dolfinx.fem.FunctionSpace)(mesh, (family, degree))
+
+
+__all__ = ["MPI", "PETSc", "dolfinx", "function_space", "hexahedra", "libraries", "ufl"]

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.ndimage import binary_dilation
 
-from implicit._dolfinx import MPI, dolfinx, ufl
+from implicit._dolfinx import MPI, dolfinx, function_space, hexahedra
 from mpm.gimp import NODES_PER_AXIS
 from mpm.lattice import FREE, ROLLER, Walls
 
@@ -63,9 +63,8 @@ class Background:
         number = np.cumsum(nodes.ravel()).reshape(shape) - 1
         connectivity = np.stack([number[tuple(corner.T)] for corner in corners], axis=1).astype(np.int64)
         points = (np.argwhere(nodes) + low) * self.cell
-        domain = ufl.Mesh(ufl.VectorElement("Lagrange", ufl.Cell("hexahedron"), 1))
-        self.mesh = dolfinx.mesh.create_mesh(self.comm, connectivity, points, domain)
-        self.space = dolfinx.fem.VectorFunctionSpace(self.mesh, ("Lagrange", 1))
+        self.mesh = hexahedra(self.comm, connectivity, points)
+        self.space = function_space(self.mesh, "Lagrange", 1, (3,))
         at = np.rint(self.space.tabulate_dof_coordinates() / self.cell).astype(int) - low
         self.dof_of = np.full(shape, -1, np.int32)
         self.dof_of[tuple(at.T)] = np.arange(len(at), dtype=np.int32)

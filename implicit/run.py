@@ -5,6 +5,7 @@ from dataclasses import asdict
 
 import numpy as np
 
+from implicit._dolfinx import libraries
 from implicit.relaxation import Regularisation, Rest
 from implicit.solver import ImplicitSolver
 from mpm.config import Scene
@@ -33,7 +34,7 @@ def run(
     body = build(scene)
     solver = ImplicitSolver(body, regularisation)  # before the folder: it refuses some scenes
     described = provenance(ImplicitRun.device, ImplicitRun.precision)
-    described |= {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
+    described |= libraries() | {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
     described |= {KEPT + name: value for name, value in asdict(regularisation).items()}
     this = ImplicitRun(body, Results.create(directory, scene.model_dump(mode="json"), described, force), solver)
     this.begin()

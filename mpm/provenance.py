@@ -14,6 +14,8 @@ from typing import NamedTuple
 
 PROJECT = Path(__file__).resolve().parents[1]
 DOLFINX_APT = "apt-get install --no-install-recommends python3-dolfinx-real python3-petsc4py-real"
+DOLFINX_PIP = 'pip install "dolfinx-solver-real<0.12"'  # a wheel with PETSc inside
+SYSTEM_PYTHON = Path("/usr/bin/python3")
 
 
 def provenance(device: str, precision: str) -> dict[str, str | float]:
@@ -82,28 +84,56 @@ class Package(NamedTuple):
     name: str
     version: str | None
     needed_for: str
-    how_to_get: str
 
 
 def installed() -> list[Package]:
-    """The libraries Repose uses and their versions here, found without importing any."""
-    pip, apt = "./repose installs it", DOLFINX_APT
-    uses = [  # module, distribution, needed for, how to get it
-        ("numpy", "numpy", "everything", pip),
-        ("scipy", "scipy", "run-out measures, pictures", pip),
-        ("pydantic", "pydantic", "scene files", pip),
-        ("h5py", "h5py", "results", pip),
-        ("meshio", "meshio", "mesh files, ParaView files", pip),
-        ("matplotlib", "matplotlib", "pictures", pip),
-        ("jinja2", "jinja2", "reports", pip),
-        ("warp", "warp-lang", "the explicit solver", pip),
-        ("dolfinx", "fenics-dolfinx", "the implicit solver", apt),
-        ("petsc4py", "petsc4py", "the implicit solver", apt),
+    """The libraries that pip installs with Repose and their versions here, found without importing any."""
+    uses = [  # module, distribution, needed for
+        ("numpy", "numpy", "everything"),
+        ("scipy", "scipy", "run-out measures, pictures"),
+        ("pydantic", "pydantic", "scene files"),
+        ("h5py", "h5py", "results"),
+        ("meshio", "meshio", "mesh files, ParaView files"),
+        ("matplotlib", "matplotlib", "pictures"),
+        ("jinja2", "jinja2", "reports"),
+        ("warp", "warp-lang", "the explicit solver"),
     ]
     return [
-        Package(module, _version(distribution) if importlib.util.find_spec(module) else None, needed_for, how)
-        for module, distribution, needed_for, how in uses
+        Package(module, _version(distribution) if importlib.util.find_spec(module) else None, needed_for)
+        for module, distribution, needed_for in uses
     ]
+
+
+def how_to_get_dolfinx(from_apt: bool = True) -> str:
+    """What makes a dolfinx and petsc4py that Repose works with importable here, as an order: "run as root: ...".
+
+    `from_apt`: whether the system's own packages are an answer; they are not where they are what does not fit.
+    """
+    try:
+        release = platform.freedesktop_os_release()
+    except OSError:
+        release = {}
+    family = {release.get("ID"), *release.get("ID_LIKE", "").split()}
+    # The packages are for the system's own Python; where that is new enough for Repose, they exist.
+    is_systems = Path(sys.executable).resolve() == SYSTEM_PYTHON.resolve()
+    if from_apt and is_systems and family & {"debian", "ubuntu"}:
+        return f"run as root: {DOLFINX_APT}"
+    if _wheel_fits():
+        return f"run: {DOLFINX_PIP}"
+    return (
+        "use Debian 12, Ubuntu 24.04 or newer with its own Python, or Linux on x86-64 with glibc 2.34, Python 3.12 "
+        f"or newer, where {DOLFINX_PIP} does it"
+    )
+
+
+def _wheel_fits() -> bool:
+    """Whether PyPI's wheel of dolfinx can be installed here."""
+    libc, version = platform.libc_ver()
+    return (
+        (sys.platform, platform.machine(), libc) == ("linux", "x86_64", "glibc")
+        and tuple(map(int, version.split(".")[:2])) >= (2, 34)
+        and sys.version_info >= (3, 12)
+    )
 
 
 def warp_devices() -> list[dict[str, str | float]]:

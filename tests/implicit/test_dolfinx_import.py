@@ -1,4 +1,4 @@
-"""implicit/_dolfinx.py: h5py survives the import of dolfinx, and without dolfinx the message helps.
+"""implicit/_dolfinx.py: h5py survives the import of dolfinx, and what does not fit is refused with what helps.
 
 Each test runs its own interpreter: what matters is the order of the first imports, and a crash.
 """
@@ -8,6 +8,8 @@ import subprocess
 import sys
 
 import pytest
+
+from mpm.provenance import how_to_get_dolfinx
 
 needs_dolfinx = pytest.mark.skipif(
     None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
@@ -38,27 +40,83 @@ with h5py.File(sys.argv[1]) as file:
     assert answer.stdout.split() == ["3.0", "1", "3", "dolfinx"]
 
 
-@pytest.mark.parametrize("hidden", ["dolfinx", "petsc4py", "mpi4py", "ufl"])
-def test_without_it_the_message_says_how_to_get_it(hidden):
+@needs_dolfinx
+def test_libraries_are_those_that_were_loaded():
     code = """
+from implicit._dolfinx import MPI, PETSc, dolfinx, libraries
+found = libraries()
+assert found["dolfinx"] == dolfinx.__version__
+assert found["petsc"].split(".") == [str(number) for number in PETSc.Sys.getVersion()]
+assert MPI.Get_library_version().split()[0] in found["mpi"]
+print(sorted(found), "\\n" in "".join(found.values()))
+"""
+    answer = run(code)
+    assert answer.stdout == "['dolfinx', 'mpi', 'mpi4py', 'petsc', 'petsc4py'] False\n", answer.stderr
+
+
+# An import hook that hides a module, or puts in its place an empty one with an attribute.
+REFUSED = """
 import sys
+from importlib.machinery import ModuleSpec
+from types import ModuleType, SimpleNamespace
 from mpm.errors import SceneError
 
-class Hide:
-    def find_spec(self, name, path=None, target=None):
-        if name == sys.argv[1]:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+hidden, shown = sys.argv[1:]
 
-sys.meta_path.insert(0, Hide())
+class Installed:
+    def find_spec(self, name, path=None, target=None):
+        if name == hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+        if name.split(".")[0] in ("dolfinx", "petsc4py", "mpi4py", "ufl"):
+            return ModuleSpec(name, self, is_package=True)
+
+    def create_module(self, spec):
+        return ModuleType(spec.name)
+
+    def exec_module(self, module):
+        scalar = SimpleNamespace(__name__="complex128" if shown == "complex" else "float64")
+        module.__version__ = {"dolfinx": shown, "petsc4py": "3.24.0"}.get(module.__name__, "1.0")
+        module.MPI, module.PETSc = None, SimpleNamespace(ScalarType=scalar)
+
+sys.meta_path.insert(0, Installed())
 set_flags = sys.setdlopenflags
 try:
     import implicit._dolfinx
 except SceneError as error:
     assert sys.setdlopenflags is set_flags
     print(error)
+else:
+    print("accepted")
 """
-    answer = run(code, hidden)
+
+
+@pytest.mark.parametrize("hidden", ["dolfinx", "petsc4py", "mpi4py", "ufl"])
+def test_without_it_the_message_says_how_to_get_it(hidden):
+    answer = run(REFUSED, hidden, "0.9.0")
     assert answer.returncode == 0, answer.stderr
-    line = "apt-get install --no-install-recommends python3-dolfinx-real python3-petsc4py-real"
-    assert line in answer.stdout
+    assert answer.stdout.count("\n") == 1
+    assert f"{hidden} is not installed" in answer.stdout
+    assert how_to_get_dolfinx() in answer.stdout
     assert "the explicit half works without them" in answer.stdout
+
+
+def test_complex_scalars_are_refused_by_name():
+    answer = run(REFUSED, "", "complex")
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.count("\n") == 1
+    assert "but petsc4py 3.24.0 has complex scalars; " in answer.stdout
+    assert how_to_get_dolfinx() in answer.stdout
+
+
+@pytest.mark.parametrize("version", ["0.4.1", "0.12.0", "1.0.0.dev0", "2019.1.0"])
+def test_a_version_outside_the_range_is_refused_by_name(version):
+    answer = run(REFUSED, "", version)
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stdout.count("\n") == 1
+    assert f"needs dolfinx 0.5 to 0.11 and petsc4py with real scalars, but dolfinx is {version}; " in answer.stdout
+    assert how_to_get_dolfinx(from_apt=False) in answer.stdout
+
+
+@pytest.mark.parametrize("version", ["0.5.0", "0.10.0.post2", "0.11.0.post0"])
+def test_versions_in_the_range_are_accepted(version):
+    assert run(REFUSED, "", version).stdout == "accepted\n"

@@ -16,6 +16,7 @@ if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc
     pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
 
 from implicit import solver
+from implicit._dolfinx import dolfinx
 from implicit.newton import Outcome
 from implicit.relaxation import Regularisation
 from implicit.run import resume, run
@@ -87,6 +88,7 @@ def test_a_column_comes_to_rest_with_all_its_outputs(tmp_path):
     assert last["friction_mobilised"].max() == pytest.approx(1.0, abs=1e-3)
     np.testing.assert_allclose(last["volume"], 0.125**3 * last["volume_ratio"], rtol=1e-6)
     assert results.provenance["mode"] == "implicit"
+    assert results.provenance["dolfinx"] == dolfinx.__version__
 
 
 def test_an_interrupted_run_ends_bitwise_as_an_uninterrupted_one(tmp_path):

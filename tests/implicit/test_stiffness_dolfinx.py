@@ -10,9 +10,7 @@ from mpm.errors import SceneError
 from mpm.scene import build
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
-import ufl
-
-from implicit._dolfinx import dolfinx
+from implicit._dolfinx import dolfinx, function_space, ufl
 from implicit.background import Background
 from implicit.kernels.layout import LAW
 from implicit.state import Basis, Points
@@ -52,12 +50,12 @@ def of_dolfinx(background, constants, material_cells):
     the nodes is theta = D^-1 M D^-1 C u and their share of the stiffness K C^T theta.
     """
     space = background.space
-    indicator = dolfinx.fem.Function(dolfinx.fem.FunctionSpace(background.mesh, ("DG", 0)))
+    indicator = dolfinx.fem.Function(function_space(background.mesh, "DG", 0))
     centres = indicator.function_space.tabulate_dof_coordinates()
     inside = np.all((centres > 0) & (centres < CELL * np.array(material_cells)), axis=1)
     indicator.x.array[:] = inside
     u, v = ufl.TrialFunction(space), ufl.TestFunction(space)
-    scalars = dolfinx.fem.FunctionSpace(background.mesh, ("Lagrange", 1))
+    scalars = function_space(background.mesh, "Lagrange", 1)
     theta, phi = ufl.TrialFunction(scalars), ufl.TestFunction(scalars)
     dx = ufl.dx(metadata={"quadrature_degree": 3})  # two Gauss points per axis
 

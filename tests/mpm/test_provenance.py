@@ -109,19 +109,60 @@ def test_peak_memory_is_this_process_and_grows_by_what_is_allocated():
 
 def test_installed_lists_each_library_with_its_version():
     packages = {package.name: package for package in pv.installed()}
-    names = "numpy scipy pydantic h5py meshio matplotlib jinja2 warp dolfinx petsc4py"
+    names = "numpy scipy pydantic h5py meshio matplotlib jinja2 warp"
     assert set(packages) == set(names.split())
     assert packages["numpy"].version == np.__version__
-    assert all(package.needed_for and package.how_to_get for package in packages.values())
-    assert "python3-dolfinx-real" in packages["dolfinx"].how_to_get
+    assert all(package.needed_for for package in packages.values())
 
 
 def test_installed_gives_no_version_to_what_is_missing(monkeypatch):
     found = importlib.util.find_spec
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "dolfinx" else found(name))
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "h5py" else found(name))
     versions = {package.name: package.version for package in pv.installed()}
-    assert versions["dolfinx"] is None
+    assert versions["h5py"] is None
     assert versions["numpy"] is not None
+
+
+APT = "run as root: apt-get install --no-install-recommends python3-dolfinx-real python3-petsc4py-real"
+WHEEL = 'run: pip install "dolfinx-solver-real<0.12"'
+DEBIAN = {"ID": "debian", "VERSION_ID": "13"}
+MINT = {"ID": "linuxmint", "ID_LIKE": "ubuntu debian"}
+FEDORA = {"ID": "fedora"}
+NEW_GLIBC = ("glibc", "2.41")
+
+
+@pytest.mark.parametrize(
+    ("release", "python", "version", "machine", "libc", "how"),
+    [
+        (DEBIAN, "system's", (3, 13), "x86_64", NEW_GLIBC, APT),
+        (MINT, "system's", (3, 12), "aarch64", NEW_GLIBC, APT),
+        (DEBIAN, "own", (3, 13), "x86_64", NEW_GLIBC, WHEEL),  # a Python that does not see Debian's packages
+        (FEDORA, "system's", (3, 13), "x86_64", ("glibc", "2.34"), WHEEL),
+        (FEDORA, "system's", (3, 11), "x86_64", NEW_GLIBC, "use Debian 12, Ubuntu 24.04"),
+        (FEDORA, "system's", (3, 13), "x86_64", ("glibc", "2.31"), "use Debian 12, Ubuntu 24.04"),
+        (FEDORA, "system's", (3, 13), "aarch64", NEW_GLIBC, "use Debian 12, Ubuntu 24.04"),
+        (FEDORA, "system's", (3, 13), "x86_64", ("", ""), "use Debian 12, Ubuntu 24.04"),  # musl
+        (None, "own", (3, 11), "arm64", ("", ""), "use Debian 12, Ubuntu 24.04"),  # no os-release at all
+    ],
+)
+def test_the_way_to_dolfinx_is_that_of_this_system(tmp_path, monkeypatch, release, python, version, machine, libc, how):
+    def os_release():
+        if release is None:
+            raise OSError("no os-release")
+        return release
+
+    (tmp_path / "own").touch()
+    (tmp_path / "system's").touch()
+    (tmp_path / "venv").symlink_to(python)
+    monkeypatch.setattr(pv, "SYSTEM_PYTHON", tmp_path / "system's")
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "venv"))
+    monkeypatch.setattr(sys, "version_info", version)
+    monkeypatch.setattr(pv.platform, "freedesktop_os_release", os_release)
+    monkeypatch.setattr(pv.platform, "machine", lambda: machine)
+    monkeypatch.setattr(pv.platform, "libc_ver", lambda: libc)
+    assert pv.how_to_get_dolfinx().startswith(how)
+    # Where the system's own packages are what does not fit, installing them again is no answer.
+    assert "apt-get" not in pv.how_to_get_dolfinx(from_apt=False)
 
 
 def test_warp_devices_name_the_host_first():
