@@ -67,13 +67,14 @@ def libraries() -> dict[str, str]:
     """Versions of dolfinx, PETSc, petsc4py, mpi4py and the MPI library, as a run's provenance keeps them."""
     import mpi4py
 
-    mpi = MPI.Get_library_version().splitlines()[0].split(",")[0]
+    # "Open MPI v4.1.4, package: ..." or "MPICH Version:      5.0.2" and more lines.
+    mpi = MPI.Get_library_version().splitlines()[0].split(",")[0].replace("Version:", "")
     return {
         "dolfinx": dolfinx.__version__,
         "petsc": ".".join(map(str, PETSc.Sys.getVersion())),
         "petsc4py": petsc4py.__version__,
         "mpi4py": mpi4py.__version__,
-        "mpi": " ".join(mpi.replace("\0", "").split()),
+        "mpi": " ".join(mpi.split()),
     }
 
 

@@ -15,19 +15,37 @@ from pathlib import Path
 import pytest
 
 SCRIPT = Path(__file__).resolve().parents[1] / "repose"
-TOOLS = ["cat", "chmod", "cksum", "cp", "date", "env", "find", "mkdir", "mv", "readlink", "rm", "rmdir"]
+TOOLS = [
+    "cat",
+    "chmod",
+    "cksum",
+    "cp",
+    "date",
+    "env",
+    "find",
+    "grep",
+    "mkdir",
+    "mv",
+    "readlink",
+    "rm",
+    "rmdir",
+    "seq",
+    "tail",
+]
 
 # Answers what the script asks of a Python; `-m venv` copies it, pip "installs" the command line.
 PYTHON = """#!/bin/sh
 echo "python $*" >>"$STATE/calls"
 case "$*" in
 *"print(sys.version_info"*) echo "(3, 11)" ;;
+*libc_ver*) [ -e "$STATE/wheel_fits" ] ;;
 *"version_info < "*) [ ! -e "$STATE/old_python" ] ;;
 *ensurepip*) [ ! -e "$STATE/no_venv" ] ;;
-*find_spec*) [ ! -e "$STATE/no_dolfinx" ] ;;
+*find_spec*) [ -e "$STATE/dolfinx" ] ;;
+*importlib.metadata*) echo "numpy<3" ;;
 *"-m venv"*) for venv; do :; done; mkdir -p "$venv/bin" && cp "$0" "$venv/bin/python" ;;
 *"-m pip"*)
-    [ ! -e "$STATE/no_network" ] || { echo "no route to host"; exit 1; }
+    [ ! -e "$STATE/no_network" ] || { echo "ERROR: no route to host"; seq 20; exit 1; }
     while [ -e "$STATE/slow_network" ]; do sleep 1; done
     printf '#!/bin/sh\\nprintf "%%s|" "$PWD" "$@"\\n' >"${0%/*}/repose" && chmod +x "${0%/*}/repose" ;;
 *"-m pytest"*) printf '%s|' "$PWD" "$@" ;;
@@ -37,9 +55,9 @@ esac
 APT_GET = """#!/bin/sh
 echo "apt-get $*" >>"$STATE/calls"
 [ ! -e "$STATE/no_network" ] || exit 100
-case "$*" in *python3-venv*) rm -f "$STATE/no_venv" ;; *dolfinx*) rm -f "$STATE/no_dolfinx" ;; esac
+case "$*" in *python3-venv*) rm -f "$STATE/no_venv" ;; *dolfinx*) : >"$STATE/dolfinx" ;; esac
 """
-DPKG_QUERY = '#!/bin/sh\n[ -e "$STATE/no_dolfinx" ] || printf installed\n'
+DPKG_QUERY = '#!/bin/sh\n[ ! -e "$STATE/dolfinx" ] || printf installed\n'
 APT_LINE = "apt-get update && apt-get install -y --no-install-recommends"
 
 
@@ -55,11 +73,14 @@ class Machine:
         (self.root / "pyproject.toml").write_text("[project]\n")
         python = folder / "debian" / "python3"
         python.parent.mkdir()
-        text, count = re.subn(r"(?m)^debian_python=.*$", f"debian_python='{python}'", SCRIPT.read_text())
-        assert count == 1
+        text = SCRIPT.read_text()
+        for name, path in {"debian_python": python, "debian_dolfinx": self.state / "dolfinx"}.items():
+            text, count = re.subn(rf"(?m)^{name}=.*$", f"{name}='{path}'", text)
+            assert count == 1
         self.executable(self.root / "repose", text)
         self.executable(python, PYTHON)
         self.debian_python = python
+        self.set("dolfinx")
         for tool in TOOLS:
             (self.bin / tool).symlink_to(shutil.which(tool))
         self.stub("sleep", "#!/bin/sh\nPATH=/usr/bin:/bin exec sleep 0.05\n")
@@ -78,6 +99,9 @@ class Machine:
     def set(self, *states: str):
         for state in states:
             (self.state / state).touch()
+
+    def unset(self, state: str):
+        (self.state / state).unlink()
 
     def start(self, *arguments: str, program: Path | str | None = None, cwd: Path | None = None) -> subprocess.Popen:
         return subprocess.Popen(
@@ -129,7 +153,9 @@ def test_hands_its_arguments_on_in_the_callers_folder(machine, tmp_path):
     assert first.returncode == 0
     assert first.stdout == f"{elsewhere}|run|a scene.toml|*||"
     assert first.stderr.count("\n") == 1 and "making the Python environment" in first.stderr
-    assert "--system-site-packages" in machine.calls()
+    calls = machine.calls()
+    assert "--system-site-packages" in calls
+    assert f"--only-binary=:all: -e {machine.root}[test] numpy<3\n" in calls  # the numpy of Debian's dolfinx
 
 
 def test_is_found_through_symbolic_links(machine, tmp_path):
@@ -163,16 +189,45 @@ def test_test_runs_pytest_in_the_project_and_the_users_marker_comes_last(machine
 
 
 def test_without_dolfinx_and_without_apt_rights_it_warns_and_goes_on(machine):
-    machine.set("no_dolfinx")
+    machine.unset("dolfinx")
     answer = machine.run("info")
     assert answer.returncode == 0 and answer.stdout.endswith("|info|")
     assert "warning" in answer.stderr and "implicit solver will not run" in answer.stderr
     assert f"{APT_LINE} python3-dolfinx-real python3-petsc4py-real\n" in answer.stderr
-    assert "apt-get" not in machine.calls()
+    calls = machine.calls()
+    assert "apt-get" not in calls
+    assert f"-e {machine.root}[test]\n" in calls
+
+
+def test_without_the_systems_dolfinx_it_takes_the_wheel_where_that_fits(machine):
+    """Into an environment that sees nothing of the system: its mpi4py would bring another MPI library."""
+    machine.unset("dolfinx")
+    machine.set("wheel_fits")
+    answer = machine.run("info")
+    assert answer.returncode == 0 and answer.stdout.endswith("|info|")
+    assert "warning" not in answer.stderr
+    calls = machine.calls()
+    assert f"-e {machine.root}[test,implicit]\n" in calls
+    assert "--system-site-packages" not in calls
+
+
+@pytest.mark.parametrize("later", ["installed", "removed"])
+def test_an_environment_is_made_anew_when_the_systems_dolfinx_comes_or_goes(machine, later):
+    if later == "installed":
+        machine.unset("dolfinx")
+    machine.run()
+    machine.calls()
+    machine.set("dolfinx") if later == "installed" else machine.unset("dolfinx")
+    machine.run()
+    calls = machine.calls()
+    assert "-m venv" in calls
+    assert ("--system-site-packages" in calls) == (later == "installed")
+    assert machine.run().stderr == ""
 
 
 def test_without_venv_and_without_apt_rights_it_stops_with_the_line_to_run(machine):
-    machine.set("no_venv", "no_dolfinx")
+    machine.set("no_venv")
+    machine.unset("dolfinx")
     answer = machine.run("info")
     assert (answer.returncode, answer.stdout) == (1, "")
     assert answer.stderr.count("\n") == 1
@@ -190,7 +245,8 @@ def test_without_any_python_and_without_apt_rights_it_stops_with_the_line_to_run
 
 @pytest.mark.parametrize("right", ["root", "sudo"])
 def test_with_apt_rights_it_installs_what_is_missing(machine, right):
-    machine.set("no_venv", "no_dolfinx")
+    machine.set("no_venv")
+    machine.unset("dolfinx")
     if right == "root":
         machine.stub("id", "#!/bin/sh\necho 0\n")
     else:
@@ -207,7 +263,7 @@ def test_with_apt_rights_it_installs_what_is_missing(machine, right):
 
 
 def test_where_apt_fails_a_missing_dolfinx_is_still_only_a_warning(machine):
-    machine.set("no_dolfinx")
+    machine.unset("dolfinx")
     machine.stub("id", "#!/bin/sh\necho 0\n")
     machine.stub("apt-get", "#!/bin/sh\nexit 100\n")
     answer = machine.run("info")
@@ -220,7 +276,7 @@ def test_without_apt_it_goes_on_with_the_python_there_is(machine):
     (machine.bin / "apt-get").unlink()
     (machine.bin / "dpkg-query").unlink()
     machine.debian_python.rename(machine.bin / "python3")
-    machine.set("no_dolfinx")
+    machine.unset("dolfinx")
     answer = machine.run("info")
     assert answer.returncode == 0
     assert "warning" in answer.stderr and "apt-get" not in answer.stderr
@@ -239,10 +295,12 @@ def test_a_set_up_that_failed_names_its_log_and_is_begun_again(machine):
     answer = machine.run("info")
     log = machine.root / ".venv" / "setup.log"
     assert (answer.returncode, answer.stdout) == (1, "")
-    assert answer.stderr.splitlines()[-1].endswith(f"the log: {log}")
+    last = answer.stderr.splitlines()
+    assert last[-1].endswith(f"the log: {log}")
+    assert last[-2] == "ERROR: no route to host"  # what pip said, not only where
     assert "no route to host" in log.read_text()
     assert not machine.stamp.exists()
-    (machine.state / "no_network").unlink()
+    machine.unset("no_network")
     machine.calls()
     assert machine.run("info").returncode == 0
     assert "-m venv" in machine.calls()
@@ -279,7 +337,7 @@ def test_a_half_done_update_does_not_count_as_the_old_environment(machine):
     (machine.root / "pyproject.toml").write_text(before + "# changed\n")
     machine.set("no_network")
     assert machine.run().returncode == 1
-    (machine.state / "no_network").unlink()
+    machine.unset("no_network")
     (machine.root / "pyproject.toml").write_text(before)
     assert "making the Python environment" in machine.run().stderr
 
