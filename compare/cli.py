@@ -13,6 +13,7 @@ from rich.table import Table
 from compare.options import SpacedNumbers, SpacedWords
 from compare.solvers import runs_of
 from compare.terminal import BatchMonitor, Monitor, announce, err, out, summary_table
+from mpm.caches import announce_compilation
 from mpm.command import command
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
 
@@ -377,6 +378,7 @@ def _table1(body) -> Table:
 def main():
     """Entry point. Exit codes: 0 done, 1 disk or memory failed, 2 bad input, 3 numerical failure, 130 Ctrl-C."""
     try:
+        announce_compilation()
         app()
     except SceneError as error:
         for problem in error.problems:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from compare.solvers import runs_of
 from compare.terminal import Monitor
+from mpm.caches import announce_compilation
 from mpm.config import parse_scene
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
 from mpm.provenance import code_version
@@ -58,4 +59,5 @@ def _resumed(runs, folder: Path, device: str) -> bool:
 
 
 if __name__ == "__main__":
+    announce_compilation()
     sys.exit(work(Path(sys.argv[1])))

@@ -2,9 +2,11 @@
 
 import logging
 import sys
+from contextlib import contextmanager
 from importlib.util import find_spec
 from inspect import signature
 
+from mpm.caches import prepare_caches
 from mpm.errors import SceneError
 from mpm.provenance import how_to_get_dolfinx
 
@@ -43,6 +45,7 @@ def _check_version(dolfinx):
         raise _refused(f"dolfinx is {version}", how_to_get_dolfinx(from_apt=False))
 
 
+prepare_caches()  # dolfinx reads where its cache is as it is imported
 try:
     if find_spec("dolfinx_solver"):  # PyPI's wheel: loads the MPI library that all the others must share
         import dolfinx_solver  # noqa: F401
@@ -59,8 +62,20 @@ except ModuleNotFoundError as error:
 except ImportError as error:
     raise _refused(f"what is installed cannot be loaded ({error})", how_to_get_dolfinx()) from error
 _check_version(dolfinx)
-# The form compiler tells each of its stages where someone has asked for INFO.
-logging.getLogger("ffcx").setLevel(logging.WARNING)
+
+
+@contextmanager
+def _quietly():
+    """Without INFO lines: setuptools, with which dolfinx compiles its elements, makes the root logger write them."""
+    root = logging.getLogger()
+    level, handlers = root.level, root.handlers[:]
+    logging.disable(logging.INFO)
+    try:
+        yield
+    finally:
+        logging.disable(logging.NOTSET)
+        root.setLevel(level)
+        root.handlers[:] = handlers
 
 
 def libraries() -> dict[str, str]:
@@ -78,6 +93,7 @@ def libraries() -> dict[str, str]:
     }
 
 
+@_quietly()
 def hexahedra(comm, cells, points):
     """dolfinx mesh of first-order hexahedra `cells` (m, 8) int64, their corners x fastest, on `points` (n, 3) [m]."""
     if hasattr(dolfinx.fem, "functionspace"):  # from 0.7 on
@@ -91,6 +107,7 @@ def hexahedra(comm, cells, points):
     return dolfinx.mesh.create_mesh(comm, cells, **{"x": points, name: domain})
 
 
+@_quietly()
 def function_space(mesh, family: str, degree: int, shape: tuple[int, ...] = ()):
     """dolfinx space of functions on `mesh` with values of `shape`: () for scalars, (3,) for vectors."""
     if hasattr(dolfinx.fem, "functionspace"):  # from 0.7 on

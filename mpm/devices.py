@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 import warp as wp
 
+from mpm.caches import prepare_caches
 from mpm.errors import SceneError
 
 # Of every module of kernels. Warp's default CPU flags cap SLP vectorisation, which costs the explicit step a fifth of
@@ -29,6 +30,7 @@ def _stderr_hidden():
 
 def start_warp():
     """Initialise Warp, and return it, without its banner, compile messages or the remark that there is no GPU."""
+    prepare_caches()
     wp.config.log_level = wp.LOG_ERROR
     with _stderr_hidden():
         wp.init()

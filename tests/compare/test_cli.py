@@ -19,6 +19,7 @@ import pytest
 
 from compare import cli
 from explicit.run import HISTORY_ROWS, MAX_TIME
+from mpm.caches import COMPILING
 from mpm.config import Explicit, Output, load_scene, preset_names
 from mpm.provenance import how_to_get_dolfinx
 from mpm.results import Results
@@ -56,7 +57,12 @@ def call(capsys, *arguments) -> Answer:
             cli.main()
     printed = capsys.readouterr()
     assert "Traceback" not in printed.err + printed.out
-    return Answer(end.value.code or 0, printed.out, printed.err)
+    return Answer(end.value.code or 0, printed.out, but_compiling(printed.err))
+
+
+def but_compiling(err: str) -> str:
+    """What was said on stderr but for the line that the first test to need a kernel on this machine brings."""
+    return err.replace(f"{COMPILING}\n", "")
 
 
 @pytest.fixture
@@ -609,14 +615,14 @@ def test_ctrl_c_leaves_a_checkpoint_from_which_resume_finishes(tmp_path):
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "Traceback" not in err
-    assert re.fullmatch(r"stopped at t = \S+ s; `repose resume mine` goes on\n|interrupted\n", err)
+    assert re.fullmatch(r"stopped at t = \S+ s; `repose resume mine` goes on\n|interrupted\n", but_compiling(err))
     stopped = Results.open(tmp_path / "mine").read_checkpoint()["clock"][0]
     assert stopped < until
     assert not (tmp_path / "mine" / "summary.json").exists()
 
     process = start("resume", "mine", cwd=tmp_path)
     out, err = process.communicate(timeout=60)
-    assert (process.returncode, err) == (0, "")
+    assert (process.returncode, but_compiling(err)) == (0, "")
     assert "end_time" in out
     run = Results.open(tmp_path / "mine")
     times = run.history()["time"]

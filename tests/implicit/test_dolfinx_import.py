@@ -4,11 +4,13 @@ Each test runs its own interpreter: what matters is the order of the first impor
 """
 
 import importlib.util
+import os
 import subprocess
 import sys
 
 import pytest
 
+from mpm.caches import COMPILING
 from mpm.provenance import how_to_get_dolfinx
 
 needs_dolfinx = pytest.mark.skipif(
@@ -54,6 +56,32 @@ print(sorted(found), "\\n" in "".join(found.values()))
     assert answer.stdout == "['dolfinx', 'mpi', 'mpi4py', 'petsc', 'petsc4py'] False\n", answer.stderr
 
 
+@needs_dolfinx
+def test_elements_are_compiled_once_quietly_and_not_untold(tmp_path):
+    code = """
+import logging
+import numpy as np
+from mpm.caches import announce_compilation
+announce_compilation()
+from implicit._dolfinx import MPI, function_space, hexahedra
+handlers = logging.root.handlers[:]
+points = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float)
+mesh = hexahedra(MPI.COMM_SELF, np.arange(8).reshape(1, 8), points)
+vectors, scalars = function_space(mesh, "Lagrange", 1, (3,)), function_space(mesh, "DG", 0)
+assert vectors.dofmap.bs == 3 and vectors.dofmap.index_map.size_global == 8
+assert scalars.dofmap.bs == 1 and scalars.dofmap.index_map.size_global == 1
+assert (logging.root.level, logging.root.handlers, logging.root.manager.disable) == (logging.WARNING, handlers, 0)
+"""
+    env = os.environ | {"XDG_CACHE_HOME": str(tmp_path)}
+    first, second = (
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env) for _ in range(2)
+    )
+    assert (first.returncode, first.stdout) == (0, ""), first.stderr
+    compiled = list(tmp_path.glob("fenics/*.c"))  # dolfinx from 0.10 on compiles no elements
+    assert first.stderr == (f"{COMPILING}\n" if compiled else "")
+    assert (second.returncode, second.stdout, second.stderr) == (0, "", "")
+
+
 # An import hook that hides a module, or puts in its place an empty one with an attribute.
 REFUSED = """
 import sys
@@ -67,7 +95,7 @@ class Installed:
     def find_spec(self, name, path=None, target=None):
         if name == hidden:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-        if name.split(".")[0] in ("dolfinx", "petsc4py", "mpi4py", "ufl"):
+        if name.split(".")[0] in ("dolfinx", "dolfinx_solver", "petsc4py", "mpi4py", "ufl"):
             return ModuleSpec(name, self, is_package=True)
 
     def create_module(self, spec):
