@@ -1,6 +1,7 @@
 """The one place that imports dolfinx and petsc4py and knows their versions; the rest of Repose works without them."""
 
 import logging
+import os
 import sys
 from contextlib import contextmanager
 from importlib.util import find_spec
@@ -55,7 +56,8 @@ try:
     from petsc4py import PETSc
 
     if PETSc.ScalarType.__name__.startswith("complex"):
-        raise _refused(f"petsc4py {petsc4py.__version__} has complex scalars", how_to_get_dolfinx())
+        chosen = f" (PETSC_DIR is {os.environ['PETSC_DIR']})" if "PETSC_DIR" in os.environ else ""
+        raise _refused(f"petsc4py {petsc4py.__version__} has complex scalars{chosen}", how_to_get_dolfinx())
     dolfinx = _import_dolfinx()
 except ModuleNotFoundError as error:
     raise _refused(f"{error.name} is not installed", how_to_get_dolfinx()) from error

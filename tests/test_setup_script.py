@@ -185,7 +185,7 @@ def test_a_fresh_environment_costs_one_look_and_says_nothing(machine):
 
 def test_test_runs_pytest_in_the_project_and_the_users_marker_comes_last(machine):
     answer = machine.run("test", "-m", "slow or gpu", "tests/mpm")
-    assert answer.stdout == f"{machine.root}|-m|pytest|-m|not slow|-m|slow or gpu|tests/mpm|"
+    assert answer.stdout == f"{machine.root}|-m|pytest|-m|not slow|-n|auto|--dist|loadfile|-m|slow or gpu|tests/mpm|"
 
 
 def test_without_dolfinx_and_without_apt_rights_it_warns_and_goes_on(machine):
