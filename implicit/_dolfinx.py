@@ -15,7 +15,7 @@ OLDEST, NEWEST = (0, 5), (0, 11)  # versions of dolfinx that Repose works with
 
 
 def _import_dolfinx():
-    """Import dolfinx without what its `__init__` does to every import after it.
+    """Import dolfinx without what its `__init__` does to every import after it. SceneError for an unknown version.
 
     dolfinx before 0.8 sets RTLD_GLOBAL for all shared libraries loaded from then on and leaves it set. h5py and VTK
     bring their own HDF5, whose symbols then mix with those of Debian's: importing them fails or crashes.
@@ -25,6 +25,8 @@ def _import_dolfinx():
     sys.setdlopenflags = lambda flags: None
     try:
         import dolfinx
+
+        _check_version(dolfinx.__version__)
         import dolfinx.fem.petsc
         import dolfinx.io
     finally:
@@ -33,15 +35,15 @@ def _import_dolfinx():
 
 
 def _refused(found: str, how: str) -> SceneError:
+    oldest, newest = (".".join(map(str, version)) for version in (OLDEST, NEWEST))
     return SceneError(
-        f"the implicit solver needs dolfinx 0.5 to 0.11 and petsc4py with real scalars, but {found}; "
+        f"the implicit solver needs dolfinx {oldest} to {newest} and petsc4py with real scalars, but {found}; "
         f"to get them, {how}; the explicit half works without them"
     )
 
 
-def _check_version(dolfinx):
+def _check_version(version: str):
     """Raises SceneError for a dolfinx that is older or newer than Repose knows."""
-    version = dolfinx.__version__
     if not OLDEST <= tuple(int(number) for number in version.split(".")[:2]) <= NEWEST:
         raise _refused(f"dolfinx is {version}", how_to_get_dolfinx(from_apt=False))
 
@@ -63,7 +65,6 @@ except ModuleNotFoundError as error:
     raise _refused(f"{error.name} is not installed", how_to_get_dolfinx()) from error
 except ImportError as error:
     raise _refused(f"what is installed cannot be loaded ({error})", how_to_get_dolfinx()) from error
-_check_version(dolfinx)
 
 
 @contextmanager
