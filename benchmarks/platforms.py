@@ -17,7 +17,7 @@ def main():
     explicit, implicit = (Results.open(folder / mode) for mode in ("explicit", "implicit"))
     used = implicit.provenance
     line = {"system": platform.freedesktop_os_release()["PRETTY_NAME"]}
-    line |= {name: used[name] for name in ("python", "numpy", "warp", "dolfinx", "petsc", "mpi")}
+    line |= {name: used[name] for name in ("cpu", "python", "numpy", "warp", "dolfinx", "petsc", "mpi")}
     line |= {f"R_995 {run.summary()['mode']}": f"{run.summary()['R_995']:.4f}" for run in (explicit, implicit)}
     line |= {"Newton iterations": implicit.summary()["newton_iterations"], "demo [s]": seconds}
     table = csv.DictWriter(sys.stdout, line, lineterminator="\n")

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from mpm.caches import COMPILING, prepare_caches
+from mpm.caches import COMPILING
 from mpm.devices import start_warp
 
 ORDINARY = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
@@ -119,10 +119,3 @@ print(x.numpy().sum(), file=sys.stderr)
     program = "import runpy; runpy.run_path('doubling.py')"
     assert call(program).stderr.splitlines() == ["start", COMPILING, "6.0"]
     assert call(program).stderr.splitlines() == ["start", "6.0"]
-
-
-def test_is_prepared_once_in_a_process():
-    prepare_caches()
-    before = prepare_caches.cache_info().hits
-    start_warp()
-    assert prepare_caches.cache_info().hits == before + 1
