@@ -47,12 +47,12 @@ def compute(job) -> dict:
     """The row of one case."""
     case, device, command = job
     from compare.hard.collapse import finish
-    from mpm.config import load_scene
     from mpm.devices import start_warp
     from mpm.errors import NumericalError
+    from mpm.load import load_scene
     from mpm.provenance import provenance
     from mpm.runout import run_out
-    from mpm.scene import theory
+    from mpm.theory import theory
 
     start_warp()
     cell, less = 1.0 / float(case["cells"]), 1.0 - 0.01 * int(case["realisation"])
@@ -70,7 +70,7 @@ def compute(job) -> dict:
         settings += [f"explicit.damping={case['damping']}", f"explicit.precision={case['precision']}"]
         settings += [f"explicit.cfl={0.5 * less!r}"] if less < 1 else []
     elif less < 1:
-        from implicit.relaxation import Regularisation
+        from implicit.pseudo_time import Regularisation
 
         changed["cap"] = changed.get("cap", Regularisation().cap) * less
     shift = [float(part) * cell for part in case["shifted"].split()]
@@ -155,7 +155,7 @@ def main():
     one.add_argument("--cells", nargs="+", default=["8"], help="per r0")
     one.add_argument("--precision", nargs="+", default=["float64"])
     one.add_argument("--set", nargs="*", default=[], metavar="KEY=VALUE")
-    one.add_argument("--reg", nargs="*", default=[], metavar="NAME=VALUE", help="of implicit.relaxation.Regularisation")
+    one.add_argument("--reg", nargs="*", default=[], metavar="NAME=VALUE", help="of implicit.pseudo_time")
     one.add_argument("--turned", default="0", help="[degrees] about the axis")
     one.add_argument("--shifted", nargs=3, default=["0", "0", "0"], help="along x, y, z [cells]")
     one.add_argument("--symmetry", default="quarter")

@@ -7,13 +7,13 @@ import argparse
 import csv
 from pathlib import Path
 
-from implicit.relaxation import Regularisation
+from implicit.pseudo_time import Regularisation
 from implicit.solver import ImplicitSolver
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import start_warp
+from mpm.load import load_scene
 from mpm.provenance import provenance
 from mpm.runout import front
-from mpm.scene import build
 
 LEVELS = (1e-2, 5e-3, 2e-3, 1e-3)  # out-of-balance over external force
 MOST_STEPS = 600

@@ -31,10 +31,10 @@ def options():
 def measure(given) -> dict:
     begin = time.perf_counter()
     from explicit.solver import ExplicitSolver
-    from mpm.config import load_scene
+    from mpm.body import build
     from mpm.devices import find_device
+    from mpm.load import load_scene
     from mpm.provenance import peak_memory_mb, provenance
-    from mpm.scene import build
 
     device = find_device(given.device)
     imported = time.perf_counter()

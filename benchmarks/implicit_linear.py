@@ -15,10 +15,10 @@ from pathlib import Path
 from implicit._dolfinx import PETSc
 from implicit.newton import Tangent
 from implicit.solver import ImplicitSolver
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import start_warp
+from mpm.load import load_scene
 from mpm.provenance import provenance
-from mpm.scene import build
 
 # matrix format, PC type, PC options
 SOLVERS = {

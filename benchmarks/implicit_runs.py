@@ -2,7 +2,7 @@
 
     python benchmarks/implicit_runs.py SCENE [--set KEY=VALUE ...] [--reg NAME=VALUE ...] [--table FILE] [--max-steps N]
 
-NAME is one of `implicit.relaxation.Regularisation`. Seconds are those of one core; run nothing beside it for timing.
+NAME is one of `implicit.pseudo_time.Regularisation`. Seconds are those of one core; run nothing beside it for timing.
 """
 
 import argparse
@@ -10,17 +10,18 @@ import csv
 import time
 from pathlib import Path
 
-from compare.bench_worker import timed
+from compare.bench.worker import timed
 from implicit import newton
-from implicit.relaxation import Regularisation, Rest
+from implicit.pseudo_time import Regularisation, Rest
 from implicit.solver import ImplicitSolver
 from implicit.system import System
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import start_warp
 from mpm.errors import NumericalError
+from mpm.load import load_scene
 from mpm.provenance import provenance
 from mpm.runout import front, run_out
-from mpm.scene import build, theory
+from mpm.theory import theory
 
 
 def main():

@@ -16,13 +16,14 @@ from pathlib import Path
 
 from compare.solvers import runs_of
 from compare.worker import JOB, OUTCOME
-from mpm.config import Mesh, Scene, load_scene
+from mpm.body import build
 from mpm.devices import find_device
 from mpm.errors import INTERRUPTED, SceneError
+from mpm.load import load_scene
 from mpm.precheck import refusals
 from mpm.provenance import code_version, device_name
 from mpm.results import Results
-from mpm.scene import build
+from mpm.scene import Mesh, Scene
 
 LOCK = "lock"
 LOOK_EVERY = 0.2  # [s] between looks at the processes
@@ -34,7 +35,7 @@ ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 class Job:
     """One run: `name` in its study, scene file or preset, `--set` overrides, mode, device.
 
-    `regularisation`: what differs from `implicit.relaxation.Regularisation`. `repeat`: which of several equal runs.
+    `regularisation`: what differs from `implicit.pseudo_time.Regularisation`. `repeat`: which of several equal runs.
     """
 
     name: str
@@ -79,7 +80,7 @@ class Job:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a job ended: `summary` of a run that is done (see `mpm.running`), else the `reason` it failed for."""
+    """How a job ended: `summary` of a run that is done (see `mpm.run`), else the `reason` it failed for."""
 
     job: Job
     folder: Path

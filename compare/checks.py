@@ -1,10 +1,10 @@
 """What is asked of a quasistatic collapse by two solvers, with what was measured."""
 
 from compare.batch import Outcome
-from compare.sections import check
-from implicit.relaxation import REST_UNBALANCED
-from mpm.config import Scene
-from mpm.scene import theory
+from compare.report.sections import check
+from implicit.pseudo_time import REST_UNBALANCED
+from mpm.scene import Scene
+from mpm.theory import theory
 
 RUN_OUT_AGREES = 0.10  # relative difference in R_995
 PROFILE_AGREES = 0.10  # volume between two profiles over the deposit's

@@ -6,11 +6,11 @@ import numpy as np
 
 from compare.batch import Job, Outcome, run_all
 from compare.checks import quasistatic_checks
-from compare.drawing import tan_theta
-from compare.figures import draw_cost, draw_histories, draw_plan_and_section, draw_profiles, strain_limit
 from compare.metrics import axis_of, deposit, eq4_profile, profile, profile_distance
-from compare.report import refuse_another, write_table
-from compare.sections import (
+from compare.plots.reports import draw_cost, draw_histories, draw_plan_and_section, draw_profiles, strain_limit
+from compare.plots.style import tan_theta
+from compare.report.page import refuse_another, write_table
+from compare.report.sections import (
     WHAT_MEASURES_MEAN,
     about,
     cost_table,
@@ -23,11 +23,11 @@ from compare.sections import (
     stability_table,
     verdict,
 )
-from mpm.analytic import eq4
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.errors import SceneError
+from mpm.load import load_scene
 from mpm.runout import front
-from mpm.scene import build, has_eq4, outlook, theory
+from mpm.theory import eq4, has_eq4, outlook, theory
 
 DAMPING = 0.4  # of the explicit run: the paper's quasistatic collapse
 COLLAPSED = 0.01  # advance of R_995 above which a body has run out

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mpm.analytic import eq4
 from mpm.errors import SceneError
-from mpm.geometry import SHARE
 from mpm.results import Results
 from mpm.runout import Measure, run_out
+from mpm.seed import SHARE
+from mpm.theory import eq4
 
 FLANK = (0.10, 0.85)  # thickness over the greatest one, between which a ring counts as flank
 
@@ -71,7 +71,7 @@ def highest(x, scene: dict) -> np.ndarray:
 
 
 def eq4_profile(scene: dict, edges) -> Profile:
-    """Eq. 4's solid (`mpm.analytic.quasistatic_profile`) averaged exactly over rings with `edges` (m+1,) [m].
+    """Eq. 4's solid (`mpm.theory.quasistatic_profile`) averaged exactly over rings with `edges` (m+1,) [m].
 
     Slope: the scene's friction angle. Its volume is the column's where the edges reach from the axis to the foot.
     Raises SceneError for a scene that is not a column, or has no friction.

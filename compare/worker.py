@@ -8,11 +8,11 @@ import json
 import sys
 from pathlib import Path
 
+from compare.cli.terminal import Monitor
 from compare.solvers import runs_of
-from compare.terminal import Monitor
 from mpm.caches import announce_compilation
-from mpm.config import parse_scene
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
+from mpm.load import parse_scene
 from mpm.provenance import code_version
 from mpm.results import CHECKPOINT, SUMMARY
 
@@ -25,7 +25,7 @@ def work(folder: Path) -> int:
     more = {}
     runs = runs_of(job["mode"])
     if job["mode"] == "implicit":
-        from implicit.relaxation import Regularisation
+        from implicit.pseudo_time import Regularisation
 
         more = {"regularisation": Regularisation(**job["regularisation"])}
     if code_version(job["mode"]) != job["code"]:

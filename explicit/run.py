@@ -6,15 +6,15 @@ import numpy as np
 import warp as wp
 
 from explicit.solver import ExplicitSolver
-from mpm.config import Scene
+from mpm.body import Body, build
 from mpm.devices import find_device
 from mpm.errors import NumericalError, StepRefused
 from mpm.precheck import refuse
 from mpm.provenance import code_version, provenance
 from mpm.results import Results
-from mpm.running import Run, body_of, reopen
+from mpm.run import Run, body_of, reopen
 from mpm.runout import front
-from mpm.scene import Body, build
+from mpm.scene import Scene
 
 # Grid kinetic energy below which the body may be at rest: over its peak, or over the energy of the fall M g h0, so that
 # what stands is at rest at once.

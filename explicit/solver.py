@@ -12,12 +12,12 @@ import warp as wp
 
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
-from explicit.kernels.pencils import MARGIN
-from explicit.pencils import PencilGrid
+from explicit.kernels.sparse_grid import MARGIN
+from explicit.sparse_grid import PencilGrid
+from mpm.body import Body
 from mpm.errors import NumericalError, StepRefused
 from mpm.geostatic import geostatic_strain
 from mpm.precheck import over_courant
-from mpm.scene import Body
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
 # The reference code's 1e-3 m/s is this share of sqrt(g h0) for a column 1 m high.

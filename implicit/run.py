@@ -6,16 +6,16 @@ from dataclasses import asdict
 import numpy as np
 
 from implicit._dolfinx import libraries
-from implicit.relaxation import Regularisation, Rest
+from implicit.pseudo_time import Regularisation, Rest
 from implicit.solver import ImplicitSolver
-from mpm.config import Scene
+from mpm.body import Body, build
 from mpm.devices import start_warp
 from mpm.errors import NumericalError, SceneError
 from mpm.provenance import code_version, provenance
 from mpm.results import Results
-from mpm.running import Run, body_of, reopen
+from mpm.run import Run, body_of, reopen
 from mpm.runout import front
-from mpm.scene import Body, build
+from mpm.scene import Scene
 
 KEPT = "regularisation_"  # before the names of `Regularisation` in a run's provenance
 

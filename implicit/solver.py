@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from implicit.background import Background
 from implicit.kernels.layout import LAW
+from implicit.mesh import Background
 from implicit.newton import solve
-from implicit.relaxation import Regularisation, StepLength
-from implicit.state import Basis, Points
+from implicit.points import Basis, Points
+from implicit.pseudo_time import Regularisation, StepLength
 from implicit.system import System
+from mpm.body import Body
 from mpm.errors import NumericalError
 from mpm.geostatic import geostatic_strain
 from mpm.precheck import refuse
-from mpm.scene import Body
 
 MOVED_QUANTILE = 0.98  # of the points' displacement in a step: single grains in the air do not shorten it
 # Residual over weight at which a step is solved: a hundredth of what it starts from, within these bounds. What is
@@ -28,7 +28,7 @@ SMALLEST_LOAD_STEP = 1 / 64  # of the wanted one
 class ImplicitSolver:
     """Points and background grid of one body.
 
-    `state`: the points (`implicit.state.Points`). `background`: mesh and space in dolfinx. `system`: that of the
+    `state`: the points (`implicit.points.Points`). `background`: mesh and space in dolfinx. `system`: that of the
     last step. `time` [s]: pseudo-time; `steps`, `failed_steps`, `newton_iterations`, `linear_iterations` so far;
     `unbalanced_ratio`: norm of the out-of-balance over that of the external nodal forces.
     """

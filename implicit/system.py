@@ -9,10 +9,10 @@ rest is in static equilibrium.
 import numpy as np
 import warp as wp
 
-from implicit.background import Background
 from implicit.kernels import assembly, basis, ghost, points
 from implicit.kernels.layout import NEIGHBOURS, OUTSIDE, SELF, STENCIL, mat33, real, vec3
-from implicit.state import Basis, Points
+from implicit.mesh import Background
+from implicit.points import Basis, Points
 from implicit.volume import OWN_SHARE, Volume
 
 REFUSED = 1e30  # [N] stands for the residual of such an increment: a line search shortens it

@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 
 from implicit.kernels import basis, points
 from implicit.kernels.layout import mat33, real, vec3
-from implicit.state import Basis, Points
+from implicit.points import Basis, Points
 
 SMALLEST_STRETCH = 0.05  # det F of a point in one step, below which an increment is refused
 # Share of K with which a point follows its own volume strain in the assembled rows, the preconditioner: a node averages

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from mpm.config import parse_scene
 from mpm.errors import SceneError
 from mpm.fields import STRESS, UNITS, friction_mobilised, pressure
+from mpm.load import parse_scene
 from mpm.results import Results
 
 CSV_INDEX = "snapshots.csv"

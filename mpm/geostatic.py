@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mpm.scene import Body
+from mpm.body import Body
 
 
 def geostatic_strain(body: Body) -> np.ndarray:

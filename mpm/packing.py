@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mpm.scene import Body
+from mpm.body import Body
 
 POINTS_IN_A_CELL = 8  # at the start
 DEEP = 2  # cells

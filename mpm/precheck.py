@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from mpm.body import Body
 from mpm.errors import SceneError
 from mpm.geostatic import geostatic_strain
-from mpm.scene import Body
 
 LEAST_ANGLE = 2.0  # degrees; a friction angle below may be in radians: 2 degrees are 0.035, 80 are 1.4
 LEAST_STIFFNESS = 50.0  # E over rho g h0
@@ -21,7 +21,7 @@ def refuse(body: Body, mode: str):
 def refusals(body: Body, mode: str) -> list[str]:
     """Why the solver `mode`, "explicit" or "implicit", would not take its first step; empty where it would.
 
-    What is wrong with a scene whatever solves it, `mpm.config.load_scene` and `mpm.scene.build` refuse.
+    What is wrong with a scene whatever solves it, `mpm.load.load_scene` and `mpm.body.build` refuse.
     """
     return (_explicit if mode == "explicit" else _implicit)(body) + _geostatic(body, mode)
 

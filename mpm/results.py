@@ -6,7 +6,7 @@ A run directory holds
                      static/NAME; snapshots/000000/FIELD with attributes `time` [s] and `step`; history/COLUMN
     checkpoint.h5    the newest restart state, replaced whole
     summary.json     written when the run ends
-    vtk/, csv/, *.png  made from the above by `mpm.vtk`, `mpm.export` and `compare.plots`
+    vtk/, csv/, *.png  made from the above by `mpm.vtk`, `mpm.export` and `compare.plots.run`
 
 Arrays keep the precision they are given in. All quantities are SI.
 """

@@ -3,9 +3,9 @@
 import pytest
 
 from explicit.solver import ExplicitSolver
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import start_warp
-from mpm.scene import build
+from mpm.load import load_scene
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 
 from compare.solvers import runs_of
-from mpm.config import load_scene
 from mpm.errors import NumericalError, SceneError
+from mpm.load import load_scene
 from mpm.results import Results
 
 MODES = ("explicit", "implicit")

@@ -5,7 +5,7 @@ A vertical cut in clay stands up to 3.83 c/(rho g) (circular slip); the tall blo
 
 from compare.hard.case import Finding, hard_case
 from compare.hard.collapse import DAMPED, collapse, runout, same, story
-from mpm.analytic import critical_height
+from mpm.theory import critical_height
 
 COHESION, DENSITY = 1500.0, 1900.0  # [Pa], [kg/m3]
 TALL, LENGTH, WIDTH = 0.8, 0.8, 0.2  # [m]

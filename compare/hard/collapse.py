@@ -12,13 +12,13 @@ import numpy as np
 
 from compare.hard.case import Finding, hard_case
 from explicit.run import ExplicitRun
-from mpm.analytic import eq45
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import find_device
 from mpm.errors import NumericalError
+from mpm.load import load_scene
 from mpm.results import Results
-from mpm.running import Run
-from mpm.scene import build
+from mpm.run import Run
+from mpm.theory import eq45
 
 DYNAMIC, DAMPED = "explicit.damping=0.05", "explicit.damping=0.4"
 LOW, MIDDLE = "column_small", "column_1"  # lambda0 = 0.5 and 1
@@ -55,7 +55,7 @@ collapse = cache(finish)  # for runs that are only looked at: cases share them
 
 
 def _implicit_run(body, results, regularisation) -> Run:
-    from implicit.relaxation import Regularisation
+    from implicit.pseudo_time import Regularisation
     from implicit.run import ImplicitRun
     from implicit.solver import ImplicitSolver  # here: the explicit half works without dolfinx
 

@@ -25,8 +25,8 @@ from compare.hard.apart import (
     undisturbed,
 )
 from compare.hard.case import Finding, hard_case
-from mpm.config import load_scene
 from mpm.errors import NumericalError, SceneError
+from mpm.load import load_scene
 from mpm.results import CHECKPOINT, Results
 
 POINT = 7  # which is struck

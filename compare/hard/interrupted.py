@@ -122,7 +122,7 @@ import sys
 from pathlib import Path
 
 import {mode}.run
-from compare import cli
+from compare.cli import main as cli
 
 class Monitor(cli.Monitor):
     def row(self, run, row):

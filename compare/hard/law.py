@@ -8,12 +8,13 @@ import numpy as np
 import warp as wp
 
 from compare.hard.case import Finding, hard_case
-from mpm.config import Material, load_scene
+from mpm.body import build
 from mpm.devices import KERNEL_OPTIONS, start_warp
 from mpm.drucker_prager import Constants, drucker_prager
 from mpm.errors import NumericalError
-from mpm.geometry import Seeds
-from mpm.scene import build
+from mpm.load import load_scene
+from mpm.scene import Material
+from mpm.seed import Seeds
 
 SAND = {"young": 5.84e6, "poisson": 0.3, "density": 2000.0, "friction_angle": 37.55}
 MODULE = "repose_hard"

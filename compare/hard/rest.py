@@ -6,12 +6,12 @@ from scipy.sparse import bsr_matrix
 from compare.hard.case import Finding, hard_case
 from compare.hard.collapse import DAMPED, FIFTH, LOW, MIDDLE, QUARTER, STANDING, finish
 from explicit.solver import STILL, ExplicitSolver
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import find_device
-from mpm.geometry import seed
-from mpm.running import Run
+from mpm.load import load_scene
+from mpm.run import Run
 from mpm.runout import front
-from mpm.scene import build
+from mpm.seed import seed
 
 CONFINED = (
     "material.model=drucker_prager",
@@ -148,7 +148,7 @@ def small_cut():
 
 def _shifted(shift: float) -> tuple[float, float, float, float]:
     """Newton iterations, settlement of the top [m], condition numbers of the load step and of a collapse step."""
-    from implicit.relaxation import Regularisation
+    from implicit.pseudo_time import Regularisation
     from implicit.solver import ImplicitSolver
 
     find_device("cpu")

@@ -5,11 +5,11 @@ from scipy.ndimage import convolve1d
 
 from compare.hard.case import Finding, hard_case
 from explicit.solver import ExplicitSolver
-from mpm.config import load_scene
+from mpm.body import Body, build
 from mpm.devices import start_warp
-from mpm.geometry import seed
 from mpm.gimp import HALF_LENGTH_IN_CELLS, NODES_PER_AXIS
-from mpm.scene import Body, build
+from mpm.load import load_scene
+from mpm.seed import seed
 
 CELL = 0.125  # [m] of the blocks
 BLOCK = (f"grid.cell={CELL}", "geometry.size=[0.5, 0.5, 0.5]", "explicit.damping=0.0")

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from explicit.kernels.layout import DT, GRAVITY, WORK_DAMPING, WORK_EXTERNAL, layout
-from mpm.lattice import FIXED, FREE
+from mpm.walls import FIXED, FREE
 
 
 @functools.cache

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.lanes import lanes
 from explicit.kernels.layout import DT, INVERTED, WORK_PLASTIC, layout
+from explicit.kernels.simd import lanes
 from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
 

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.lanes import lanes
 from explicit.kernels.layout import CARRIED, DT, GRAVITY, NOT_FINITE, TOO_FAST, WORK_DECAY, layout
+from explicit.kernels.simd import lanes
 from mpm.gimp import gimp
 
 

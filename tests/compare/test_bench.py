@@ -7,8 +7,8 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-from compare.bench import FLOOR_BYTES
-from compare.cli import app
+from compare.bench.ladder import FLOOR_BYTES
+from compare.cli.main import app
 from mpm.errors import SceneError
 
 HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))

@@ -1,6 +1,6 @@
 """The command line as a user meets it: what is written and printed, exit codes, and messages without tracebacks.
 
-Most calls run `compare.cli.main` in this process; Ctrl-C and a machine without dolfinx need one of their own.
+Most calls run `compare.cli.main.main` in this process; Ctrl-C and a machine without dolfinx need one of their own.
 """
 
 import importlib.util
@@ -17,12 +17,13 @@ import meshio
 import numpy as np
 import pytest
 
-from compare import cli
+from compare.cli import main as cli
 from explicit.run import HISTORY_ROWS, MAX_TIME
 from mpm.caches import COMPILING
-from mpm.config import Explicit, Output, load_scene, preset_names
+from mpm.load import load_scene, preset_names
 from mpm.provenance import how_to_get_dolfinx
 from mpm.results import Results
+from mpm.scene import Explicit, Output
 
 COARSE = ("column_small", "--set", "grid.cell=0.25")
 TINY = (*COARSE, "--set", "explicit.until=0.05", "--set", "output.every=0.02")
@@ -39,7 +40,7 @@ needs_dolfinx = pytest.mark.skipif(
     None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
     reason="dolfinx or petsc4py is not installed (see ./repose info)",
 )
-PROGRAM = (sys.executable, "-c", "from compare.cli import main; main()")
+PROGRAM = (sys.executable, "-c", "from compare.cli.main import main; main()")
 
 
 class Answer(NamedTuple):
@@ -474,7 +475,7 @@ class Hide:
         if name in ("dolfinx", "ufl"):
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 sys.meta_path.insert(0, Hide())
-from compare.cli import main
+from compare.cli.main import main
 main()
 """
 

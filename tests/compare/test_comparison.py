@@ -11,19 +11,21 @@ import numpy as np
 import pytest
 from browser import measure
 
-from compare import cli, study_error, study_paper
 from compare.batch import Outcome
 from compare.checks import quasistatic_checks
+from compare.cli import main as cli
 from compare.comparison import _distances, plan
-from compare.figures import pareto_front
-from compare.report import refuse_another
-from compare.sections import check, verdict
-from compare.study_error import _crossover, _limit
-from mpm.analytic import quasistatic_profile
-from mpm.config import load_scene
+from compare.plots.reports import pareto_front
+from compare.report.page import refuse_another
+from compare.report.sections import check, verdict
+from compare.studies import error as study_error
+from compare.studies import paper as study_paper
+from compare.studies.error import _crossover, _limit
+from mpm.body import build
 from mpm.errors import SceneError
+from mpm.load import load_scene
 from mpm.results import Results
-from mpm.scene import build
+from mpm.theory import quasistatic_profile
 
 pytestmark = pytest.mark.skipif(
     None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
@@ -270,8 +272,8 @@ def test_study_error_has_a_point_for_every_resolution_precision_step_and_stiffne
 
 
 def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path, monkeypatch):
-    from compare import study_stability
     from compare.hard.case import Case
+    from compare.studies import stability as study_stability
 
     there = [case for case in study_stability.CASES if case.name == "coarse, implicit"]
     monkeypatch.setattr(study_stability, "CASES", [*there, Case("no such case", None, False)])

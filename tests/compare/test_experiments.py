@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from compare.experiments import experiments, measured_runout
-from mpm.analytic import eq6
+from mpm.theory import eq6
 
 
 def rmse(runout):

@@ -8,9 +8,9 @@ from scipy.integrate import quad
 from scipy.optimize import brentq
 
 from compare.metrics import Profile, axis_of, deposit, eq4_profile, flank_angle, highest, profile, profile_distance
-from mpm.analytic import eq4, quasistatic_profile
 from mpm.errors import SceneError
 from mpm.results import Results
+from mpm.theory import eq4, quasistatic_profile
 
 FRICTION_ANGLE = 37.55
 TAN = np.tan(np.radians(FRICTION_ANGLE))

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from matplotlib.image import imread
 
-from compare import plots
 from compare.metrics import highest, profile
-from compare.plots import plot_history, plot_morphology, plot_profile
-from implicit.relaxation import REST_UNBALANCED
-from mpm.analytic import eq4, quasistatic_profile
+from compare.plots import run as plots
+from compare.plots.run import plot_history, plot_morphology, plot_profile
+from implicit.pseudo_time import REST_UNBALANCED
 from mpm.errors import SceneError
 from mpm.results import Results
+from mpm.theory import eq4, quasistatic_profile
 
 CELL = 0.125
 TAN = np.tan(np.radians(37.55))

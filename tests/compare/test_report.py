@@ -10,7 +10,7 @@ import pytest
 from browser import measure
 from matplotlib.figure import Figure
 
-from compare.report import write_report
+from compare.report.page import write_report
 
 REPORT = {
     "title": "column_small: implicit & explicit",

@@ -4,7 +4,7 @@ import pytest
 import warp as wp
 
 from explicit.kernels import step_kernels
-from explicit.kernels.pencils import pencil_kernels
+from explicit.kernels.sparse_grid import pencil_kernels
 from mpm.devices import start_warp
 
 start_warp()

@@ -6,10 +6,10 @@ import warp as wp
 
 from explicit.run import run
 from explicit.solver import ExplicitSolver
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import start_warp
+from mpm.load import load_scene
 from mpm.results import Results
-from mpm.scene import build
 
 start_warp()
 pytestmark = [

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from explicit.run import ExplicitRun, resume, run
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import find_device
 from mpm.errors import NumericalError, SceneError
+from mpm.load import load_scene
 from mpm.results import Results
-from mpm.running import body_of
-from mpm.scene import build
+from mpm.run import body_of
 
 COARSE = ["grid.cell=0.25", "explicit.until=0.3", "output.every=0.1"]
 

@@ -20,14 +20,15 @@ import warp as wp
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from compare import cli
+from compare.cli import main as cli
 from compare.hard.law import LAWS, SAND, return_map
 from explicit.run import run
-from mpm.config import Material, load_scene, preset_names, read_scene_file
 from mpm.devices import KERNEL_OPTIONS, start_warp
 from mpm.errors import SceneError
 from mpm.gimp import NODES_PER_AXIS, gimp
+from mpm.load import load_scene, preset_names, read_scene_file
 from mpm.results import CHECKPOINT, RESULTS, SUMMARY, Results
+from mpm.scene import Material
 
 start_warp()
 LAX = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture])

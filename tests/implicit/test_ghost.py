@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import start_warp
-from mpm.geometry import seed
-from mpm.scene import build
+from mpm.load import load_scene
+from mpm.seed import seed
 
 if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
     pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
 
-from implicit.relaxation import Regularisation
+from implicit.pseudo_time import Regularisation
 from implicit.solver import ImplicitSolver
 
 

@@ -7,10 +7,10 @@ import h5py
 import numpy as np
 import pytest
 
-from mpm.config import load_scene, parse_scene
 from mpm.errors import NumericalError, SceneError
+from mpm.load import load_scene, parse_scene
 from mpm.results import Results
-from mpm.running import Interrupted
+from mpm.run import Interrupted
 
 if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
     pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
@@ -18,7 +18,7 @@ if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc
 from implicit import solver
 from implicit._dolfinx import dolfinx
 from implicit.newton import Outcome
-from implicit.relaxation import Regularisation
+from implicit.pseudo_time import Regularisation
 from implicit.run import resume, run
 
 COARSE = ["grid.cell=0.25", "output.every=0.2"]

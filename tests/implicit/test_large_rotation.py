@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp
 
-from mpm.config import parse_scene
+from mpm.body import build
 from mpm.devices import start_warp
 from mpm.errors import SceneError
-from mpm.scene import build
+from mpm.load import parse_scene
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
 from implicit import newton

@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mpm.config import load_scene, parse_scene
+from mpm.body import build
 from mpm.devices import start_warp
 from mpm.errors import SceneError
-from mpm.scene import build
+from mpm.load import load_scene, parse_scene
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
 from implicit import newton

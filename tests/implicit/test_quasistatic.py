@@ -5,16 +5,17 @@ import importlib.util
 import numpy as np
 import pytest
 
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import start_warp
-from mpm.geometry import seed
+from mpm.load import load_scene
 from mpm.runout import run_out
-from mpm.scene import build, theory
+from mpm.seed import seed
+from mpm.theory import theory
 
 if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
     pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
 
-from implicit.relaxation import Regularisation, Rest
+from implicit.pseudo_time import Regularisation, Rest
 from implicit.solver import ImplicitSolver
 
 

@@ -9,16 +9,16 @@ averaged at the nodes it errs less.
 import numpy as np
 import pytest
 
-from mpm.analytic import self_weight_height
-from mpm.config import parse_scene
+from mpm.body import build
 from mpm.devices import start_warp
 from mpm.errors import SceneError
 from mpm.gimp import HALF_LENGTH_IN_CELLS
-from mpm.scene import build
+from mpm.load import parse_scene
+from mpm.theory import self_weight_height
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
 from implicit import solver as implicit_solver
-from implicit.state import Basis
+from implicit.points import Basis
 
 HEIGHT, DENSITY, GRAVITY = 50.0, 80.0, 10.0
 STIFF, SOFT = 1e6, 1e4

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from mpm.config import parse_scene
+from mpm.body import build
 from mpm.devices import start_warp
 from mpm.errors import SceneError
-from mpm.scene import build
+from mpm.load import parse_scene
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
 from implicit._dolfinx import dolfinx, function_space, ufl
-from implicit.background import Background
 from implicit.kernels.layout import LAW
-from implicit.state import Basis, Points
+from implicit.mesh import Background
+from implicit.points import Basis, Points
 from implicit.system import System
 
 CELL, CELLS = 0.5, (3, 2, 2)

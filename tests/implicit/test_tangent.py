@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 import scipy.sparse
 
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import start_warp
 from mpm.errors import SceneError
-from mpm.scene import build
+from mpm.load import load_scene
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
-from implicit.background import Background
 from implicit.kernels.layout import LAW
-from implicit.state import Basis, Points
+from implicit.mesh import Background
+from implicit.points import Basis, Points
 from implicit.system import System
 
 STEP = 1e-8  # [m] of the differences, for directions of order one

@@ -16,7 +16,7 @@ from mpm.devices import start_warp
 
 ORDINARY = ["setpriv", "--bounding-set=-all", "--inh-caps=-all"] if os.geteuid() == 0 else []
 CACHE = "from mpm.devices import start_warp; print(start_warp().config.kernel_cache_dir)"
-REPOSE = "from compare.cli import main; main()"
+REPOSE = "from compare.cli.main import main; main()"
 VARIABLES = ("HOME", "XDG_CACHE_HOME", "XDG_CONFIG_HOME", "WARP_CACHE_PATH", "MPLCONFIGDIR")
 SHORT = ("column_small", "--set", "grid.cell=0.25", "--set", "explicit.until=0.01", "--set", "output.vtk=false")
 

@@ -8,9 +8,11 @@ from typing import get_args
 import pytest
 from pydantic import BaseModel
 
-from mpm import config, wording
-from mpm.config import Scene, load_scene, parse_scene, preset_names
+from mpm import scene as config
+from mpm import wording
 from mpm.errors import SceneError
+from mpm.load import load_scene, parse_scene, preset_names
+from mpm.scene import Scene
 
 PAPER = {"column_0.5": 0.5, "column_1": 1.0, "column_2": 2.0, "column_4": 4.0}
 BOX = "elastic_bar"

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mpm.config import load_scene, parse_scene, preset_names, read_scene_file
 from mpm.errors import SceneError
-from mpm.lattice import walls_of
+from mpm.load import load_scene, parse_scene, preset_names, read_scene_file
+from mpm.walls import walls_of
 from mpm.wording import RETIRED
 
 FUZZ = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])

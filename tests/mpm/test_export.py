@@ -5,10 +5,10 @@ import csv
 import numpy as np
 import pytest
 
-from mpm.config import load_scene
 from mpm.errors import SceneError
 from mpm.export import Snapshots, write_csv
 from mpm.fields import friction_mobilised
+from mpm.load import load_scene
 from mpm.results import Results
 
 POINT_COUNT = 7

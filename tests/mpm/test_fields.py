@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from explicit.run import run
-from mpm.config import Material, load_scene
 from mpm.fields import PLASTIC, UNITS, friction_mobilised, pressure
+from mpm.load import load_scene
 from mpm.results import Results
+from mpm.scene import Material
 
 SAND = {"young": 1e7, "poisson": 0.3, "density": 2000.0}
 

@@ -6,12 +6,12 @@ import meshio
 import numpy as np
 import pytest
 
-from mpm.config import Mesh
 from mpm.errors import SceneError
-from mpm.geometry import seed
 from mpm.mesh_file import read_cells
 from mpm.mesh_seed import enclosed_volume
 from mpm.mesh_surface import read_closed_surface
+from mpm.scene import Mesh
+from mpm.seed import seed
 
 CASES = Path(__file__).parent / "cases"
 CELL = 0.25

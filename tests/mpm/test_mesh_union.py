@@ -7,9 +7,9 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import ConvexHull
 
-from mpm.config import Mesh
 from mpm.errors import SceneError
-from mpm.geometry import seed
+from mpm.scene import Mesh
+from mpm.seed import seed
 
 MEMBERS = 60**3  # points at which the union's volume is counted
 

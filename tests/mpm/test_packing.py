@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mpm.config import load_scene
+from mpm.body import build
+from mpm.load import load_scene
 from mpm.packing import packing
-from mpm.scene import build
 
 CUBE = ["geometry.size=[1.0, 1.0, 1.0]", "grid.cell=0.125", "geometry.walls={z_min='fixed'}"]
 

@@ -4,10 +4,10 @@ import math
 
 import pytest
 
-from mpm.config import load_scene, preset_names
+from mpm.body import build
 from mpm.errors import SceneError
+from mpm.load import load_scene, preset_names
 from mpm.precheck import doubts, refusals, refuse
-from mpm.scene import build
 
 COARSE = "grid.cell=0.25"
 COURANT = 0.25 / math.sqrt((5.84e6 / 1.2 + 4 / 3 * 5.84e6 / 2.6) / 2000.0)  # h/c of the coarse column [s]

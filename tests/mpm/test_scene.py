@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mpm.analytic import critical_height
-from mpm.config import load_scene
-from mpm.scene import build, outlook, theory
+from mpm.body import build
+from mpm.load import load_scene
+from mpm.theory import critical_height, outlook, theory
 
 NONE = {"eq4": None, "eq45": None}
 

@@ -7,7 +7,7 @@ import pytest
 
 from compare.experiments import measured_runout
 from explicit.run import run
-from mpm.config import load_scene
+from mpm.load import load_scene
 
 
 def finish(tmp_path, preset, *settings):

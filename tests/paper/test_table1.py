@@ -6,12 +6,12 @@ import sys
 import numpy as np
 import pytest
 
-from compare import cli
+from compare.cli import main as cli
 from explicit.solver import ExplicitSolver
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import find_device
-from mpm.lattice import paper_grid
-from mpm.scene import build
+from mpm.load import load_scene
+from mpm.walls import paper_grid
 
 # lambda0: elements, nodes, material points
 TABLE1 = {

@@ -7,12 +7,12 @@ from scipy.special import lambertw
 from compare.hard.collapse import finish
 from explicit.kernels.layout import DT
 from explicit.run import ExplicitRun, resume, run
-from mpm.config import load_scene
+from mpm.body import build
 from mpm.devices import find_device
 from mpm.errors import NumericalError
+from mpm.load import load_scene
 from mpm.packing import packing
 from mpm.results import Results
-from mpm.scene import build
 
 
 def ledger_residual(solver) -> float:

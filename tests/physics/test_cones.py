@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from compare.hard.law import SAND, return_map
-from mpm.config import Material
 from mpm.drucker_prager import CONES, dilatancy_slope, friction_cone
+from mpm.scene import Material
 
 RANDOM = np.random.default_rng(3)
 PHI = SAND["friction_angle"]

@@ -8,8 +8,8 @@ import pytest
 import warp as wp
 
 from compare.hard.law import LAW, SAND, return_map
-from mpm.config import Material
 from mpm.devices import KERNEL_OPTIONS, start_warp
+from mpm.scene import Material
 
 start_warp()
 MODULE = "repose_test_law"

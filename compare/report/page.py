@@ -72,7 +72,7 @@ def write_table(rows: list[dict], directory: Path):
 def _page(report, directory):
     """The HTML of the report."""
     environment = Environment(
-        loader=PackageLoader("compare", ""),
+        loader=PackageLoader("compare.report", ""),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

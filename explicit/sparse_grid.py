@@ -7,7 +7,7 @@ the points reach. Three nodes of one pencil are neighbours in memory, and findin
 import numpy as np
 import warp as wp
 
-from explicit.kernels.pencils import EMPTY, MARGIN, REACH, pencil_kernels
+from explicit.kernels.sparse_grid import EMPTY, MARGIN, REACH, pencil_kernels
 
 WINDOW_SLACK = 8  # cells by which the plan window grows beyond need, so that it seldom has to
 CAPACITY_SLACK = 1.2  # likewise for the node arrays

@@ -6,16 +6,17 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 
+from mpm.body import Body, build
 from mpm.command import command
-from mpm.config import parse_scene
 from mpm.errors import NumericalError, SceneError
 from mpm.fields import friction_mobilised, pressure
-from mpm.geometry import Seeds
+from mpm.load import parse_scene
 from mpm.packing import packing
 from mpm.provenance import peak_memory_mb
 from mpm.results import Results
 from mpm.runout import run_out
-from mpm.scene import Body, build, theory
+from mpm.seed import Seeds
+from mpm.theory import theory
 from mpm.vtk import write_vtk
 
 # What is no result: points beyond a wall, in cells, and the volume, over the initial one, of what yields at psi = 0.

@@ -5,7 +5,7 @@ from scipy.ndimage import binary_dilation
 
 from implicit._dolfinx import MPI, dolfinx, function_space, hexahedra
 from mpm.gimp import NODES_PER_AXIS
-from mpm.lattice import FREE, ROLLER, Walls
+from mpm.walls import FREE, ROLLER, Walls
 
 MARGIN = 2  # cells beyond the material that the mesh covers, so that it is not made anew each step
 

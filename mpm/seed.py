@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mpm.config import Box, Column, Mesh
 from mpm.errors import SceneError
 from mpm.fit import MOST_OFF, Fit, fit_of
 from mpm.mesh_seed import enclosed_volume, footprint_centre, overlap_volume, seed_inside, without_mirror_image
 from mpm.mesh_surface import read_closed_surface, shells
+from mpm.scene import Box, Column, Mesh
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 SHARE = {"full": 1.0, "half": 0.5, "quarter": 0.25}  # of the body that is computed

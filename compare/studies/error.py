@@ -8,10 +8,10 @@ import numpy as np
 
 from compare.batch import Job, Outcome, run_all
 from compare.convergence import Limit, richardson
-from compare.figures import draw_cost, draw_profiles, draw_stiffness
 from compare.metrics import deposit, profile, profile_distance
-from compare.report import refuse_another, write_table
-from compare.sections import (
+from compare.plots.reports import draw_cost, draw_profiles, draw_stiffness
+from compare.report.page import refuse_another, write_table
+from compare.report.sections import (
     HOW_ENDED,
     WHAT_MEASURES_MEAN,
     about,
@@ -23,8 +23,9 @@ from compare.sections import (
     stability_table,
     verdict,
 )
-from mpm.config import Column, load_scene
 from mpm.errors import SceneError
+from mpm.load import load_scene
+from mpm.scene import Column
 
 DAMPING = 0.4  # of the explicit runs: the quasistatic collapse that the implicit solver follows
 REPEATS = 3  # runs a point is the median of
@@ -86,7 +87,7 @@ def measure(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
 def study_error(
     directory: Path, force, monitor, command: str, reference: str, settings, cells, finer, device: str, workers: int
 ) -> dict:
-    """Run or reuse the ladder and draw the figures in `directory`; the report (see `compare.report`)."""
+    """Run or reuse the ladder and draw the figures in `directory`; the report (see `compare.report.page`)."""
     jobs = ladder(reference, settings, cells, finer, device)
     about_what = {"study": "error", "scene": load_scene(reference, settings).model_dump(mode="json"), "device": device}
     about_what |= {"cells": sorted(cells), "finer": sorted(finer)}

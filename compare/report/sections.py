@@ -4,9 +4,8 @@ import numpy as np
 
 from compare.batch import Outcome
 from compare.experiments import experiments
-from mpm.analytic import eq6, eq6_printed
 from mpm.provenance import installed, provenance
-from mpm.scene import theory
+from mpm.theory import eq6, eq6_printed, theory
 
 WHAT_MEASURES_MEAN = [
     "Every run-out is R = (r - r0)/r0, with r0 the body's first radius (of a box, its length along x). R_995: r is "

@@ -12,8 +12,8 @@ from pathlib import Path
 from compare.batch import ONE_THREAD
 from compare.hard import clay, collapse, faults, interrupted, law, rest, transfer
 from compare.hard.case import CASES, Case, judge
-from compare.report import refuse_another, write_table
-from compare.sections import check, verdict
+from compare.report.page import refuse_another, write_table
+from compare.report.sections import check, verdict
 from mpm.provenance import code_version, provenance
 
 MODULES = (transfer, law, rest, collapse, clay, faults, interrupted)  # importing them registers their cases
@@ -22,7 +22,7 @@ LONGEST = 3600.0  # [s] of one case, after which it counts as hung
 
 
 def study_stability(directory: Path, force, _monitor, command: str, quick: bool, workers: int) -> dict:
-    """Run the hard cases, the long ones too unless `quick`; the report (see `compare.report`).
+    """Run the hard cases, the long ones too unless `quick`; the report (see `compare.report.page`).
 
     A case's rows are kept in `directory`/cases and used again as long as the code stays the same.
     """
@@ -66,7 +66,7 @@ def _rows(case: Case, folder: Path, version: str, force: bool) -> list[dict]:
         path.unlink(missing_ok=True)
     started = time.perf_counter()
     if not path.is_file():
-        asked = [sys.executable, "-P", "-m", "compare.study_stability", case.name, str(path)]
+        asked = [sys.executable, "-P", "-m", "compare.studies.stability", case.name, str(path)]
         try:
             said = subprocess.run(asked, capture_output=True, text=True, env=os.environ | ONE_THREAD, timeout=LONGEST)
             how = f"exit code {said.returncode}: {(said.stderr.strip().splitlines() or ['without a word'])[-1]}"
@@ -98,7 +98,7 @@ def _check(name: str, rows: list[dict]) -> dict:
 def _version() -> str:
     """Digest of both solvers' code and of the cases."""
     digest = hashlib.sha256((code_version("explicit") + code_version("implicit")).encode())
-    for path in sorted((Path(__file__).parent / "hard").glob("*.py")):
+    for path in sorted((Path(__file__).parents[1] / "hard").glob("*.py")):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]
 

@@ -8,15 +8,15 @@ import tempfile
 from pathlib import Path
 
 from compare.batch import ONE_THREAD
-from compare.bench_worker import YARDSTICK_CELLS, column
-from compare.figures import draw_growth
-from compare.report import refuse_another, write_table
-from compare.sections import check, figure, verdict
+from compare.bench.worker import YARDSTICK_CELLS, column
+from compare.plots.reports import draw_growth
+from compare.report.page import refuse_another, write_table
+from compare.report.sections import check, figure, verdict
 from compare.solvers import runs_of
 from mpm.devices import find_device
 from mpm.errors import SceneError
-from mpm.lattice import paper_grid
 from mpm.provenance import provenance
+from mpm.walls import paper_grid
 
 ASPECT = 0.5  # of the columns that are timed
 CELLS = {"explicit": (10, 20, 32, 40), "explicit on a GPU": (20, 40, 80, 128), "implicit": (8, 10, 16)}  # per r0
@@ -27,7 +27,7 @@ LINEAR = 0.20  # by which the time of a point-step may differ between sizes, on 
 
 
 def bench(directory: Path, force, _monitor, command: str, mode: str, device: str, precision: str, cells) -> dict:
-    """Measure one solver over `cells` (per r0; none: the usual sizes); the report (see `compare.report`).
+    """Measure one solver over `cells` (per r0; none: the usual sizes); the report (see `compare.report.page`).
 
     Raises SceneError for a size that does not fit the column, or what the solver cannot do.
     """
@@ -70,7 +70,7 @@ def _measured(job: dict, cold: bool = False) -> dict:
         answer, surroundings = Path(folder) / "answer.json", os.environ | ONE_THREAD
         if cold:
             surroundings["WARP_CACHE_PATH"] = folder
-        asked = [sys.executable, "-P", "-m", "compare.bench_worker", json.dumps(job), str(answer)]
+        asked = [sys.executable, "-P", "-m", "compare.bench.worker", json.dumps(job), str(answer)]
         said = subprocess.run(asked, env=surroundings, capture_output=True, text=True)
         if said.returncode:
             raise RuntimeError(f"{' '.join(asked)} ended with exit code {said.returncode}:\n{said.stderr[-2000:]}")

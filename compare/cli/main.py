@@ -10,9 +10,9 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from compare.options import SpacedNumbers, SpacedWords
+from compare.cli.options import SpacedNumbers, SpacedWords
+from compare.cli.terminal import BatchMonitor, Monitor, announce, err, out, summary_table
 from compare.solvers import runs_of
-from compare.terminal import BatchMonitor, Monitor, announce, err, out, summary_table
 from mpm.caches import announce_compilation
 from mpm.command import command
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
@@ -63,7 +63,7 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="replace an earlier run in DIR")] = False,
 ):
     """Run a scene: writes DIR/results.h5, DIR/summary.json and DIR/vtk for ParaView."""
-    from mpm.config import load_scene
+    from mpm.load import load_scene
 
     validated = load_scene(scene, set_)
     solver = runs_of(mode.value)
@@ -141,7 +141,7 @@ def study_error(
     force: AgainOption = False,
 ):
     """Speed against error of both solvers, over resolution, precision, step and stiffness (an hour or more)."""
-    from compare.study_error import study_error
+    from compare.studies.error import study_error
 
     name = _announced(scene, set_).name
     directory = directory or Path("runs") / f"{name}-error"
@@ -159,7 +159,7 @@ def study_paper(
     force: AgainOption = False,
 ):
     """The paper's runs beside theory, experiments and the implicit solver."""
-    from compare.study_paper import study_paper
+    from compare.studies.paper import study_paper
 
     directory = directory or Path("runs") / f"paper{'-quick' if quick else ''}"
     _report(directory, force, study_paper, lambda0, damping, quick, device, jobs)
@@ -173,7 +173,7 @@ def study_stability(
     force: AgainOption = False,
 ):
     """Hard cases of both solvers: what is stable, degraded or refused, with figures and limits."""
-    from compare.study_stability import study_stability
+    from compare.studies.stability import study_stability
 
     directory = directory or Path("runs") / f"stability{'-quick' if quick else ''}"
     _report(directory, force, study_stability, quick, jobs)
@@ -189,7 +189,7 @@ def bench(
     force: AgainOption = False,
 ):
     """Speed over size, what a step goes into, memory (three minutes on a CPU; run nothing beside it)."""
-    from compare.bench import bench
+    from compare.bench.ladder import bench
 
     directory = directory or Path("runs") / f"bench-{mode.value}-{precision.value}-{device.replace(':', '')}"
     _report(directory, force, bench, mode.value, device, precision.value, cells)
@@ -203,9 +203,10 @@ def validate(
     table1: Annotated[bool, typer.Option("--table1", help="element, node and point counts of Table 1")] = False,
 ):
     """Check a scene file and say what `run` would compute, or refuse; nothing is run."""
-    from mpm.config import load_scene
+    from mpm.body import build
+    from mpm.load import load_scene
     from mpm.precheck import refusals, refuse
-    from mpm.scene import build, theory
+    from mpm.theory import theory
 
     body = build(load_scene(scene, set_))
     refuse(body, mode.value)
@@ -234,7 +235,7 @@ def validate(
 @app.command()
 def scenes():
     """List the scenes that come with Repose."""
-    from mpm.config import preset_names, read_scene_file
+    from mpm.load import preset_names, read_scene_file
 
     for name in preset_names():
         _, folder = read_scene_file(name)
@@ -287,8 +288,8 @@ def demo(directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path
 
 def _announced(reference: str, settings: list[str]):
     """The resolved scene, once what there is to know of it was said."""
-    from mpm.config import load_scene
-    from mpm.scene import build
+    from mpm.body import build
+    from mpm.load import load_scene
 
     scene = load_scene(reference, settings)
     announce(build(scene))
@@ -319,7 +320,7 @@ def _report(directory: Path, force: bool, make, *arguments):
 
 def _reported(directory: Path, force: bool, make, *arguments) -> dict:
     """Let `make(directory, force, monitor, asked, *arguments)` compute a report; write it and print its verdict."""
-    from compare.report import write_report
+    from compare.report.page import write_report
 
     asked = shlex.join(["repose", *sys.argv[1:]])
     try:
@@ -334,7 +335,7 @@ def _reported(directory: Path, force: bool, make, *arguments) -> dict:
 
 def _open(directory: Path, report: dict):
     """Say which page to open; exit code 3 where a run of the report failed."""
-    from compare.report import REPORT_HTML
+    from compare.report.page import REPORT_HTML
 
     out.print(f"open {directory / REPORT_HTML} in a browser")
     if report["failed"]:
@@ -342,7 +343,7 @@ def _open(directory: Path, report: dict):
 
 
 def _draw(directory: Path) -> list[Path]:
-    from compare.plots import plot_history, plot_morphology, plot_profile
+    from compare.plots.run import plot_history, plot_morphology, plot_profile
     from mpm.results import Results
 
     results = Results.open(directory)
@@ -355,10 +356,10 @@ def _draw(directory: Path) -> list[Path]:
 def _table1(body) -> Table:
     """The paper's counts beside the nodes that are really stored."""
     from explicit.solver import ExplicitSolver
-    from mpm.config import Column
     from mpm.devices import find_device
-    from mpm.lattice import paper_grid
     from mpm.results import Results
+    from mpm.scene import Column
+    from mpm.walls import paper_grid
 
     scene = body.scene
     if not isinstance(scene.geometry, Column) or scene.geometry.symmetry != "quarter":

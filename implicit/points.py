@@ -6,7 +6,7 @@ import warp as wp
 from implicit.kernels import basis
 from implicit.kernels.layout import mat33, real, vec3, vec6
 from implicit.kernels.points import cauchy
-from mpm.scene import Body
+from mpm.body import Body
 
 
 class Points:

@@ -1,4 +1,4 @@
-"""One measurement of `repose bench`, in a process of its own: `python -m compare.bench_worker JOB ANSWER`.
+"""One measurement of `repose bench`, in a process of its own: `python -m compare.bench.worker JOB ANSWER`.
 
 JOB is JSON: mode, aspect, cells, precision, device, phases; ANSWER the file that its figures are written to.
 """
@@ -21,8 +21,8 @@ COPIED = {"cpu": 1 << 26, "cuda": 1 << 29}  # bytes: more than the caches hold
 
 def column(aspect: float, cells: float, precision: str):
     """The body of a quarter column, r0 = 1 m, of `cells` cells per r0."""
-    from mpm.config import load_scene
-    from mpm.scene import build
+    from mpm.body import build
+    from mpm.load import load_scene
 
     settings = [f"geometry.aspect_ratio={aspect!r}", f"explicit.precision={precision}", "explicit.damping=0.05"]
     return build(load_scene("column_0.5", [*settings, f"grid.cell={1.0 / cells!r}"]))

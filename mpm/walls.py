@@ -5,7 +5,7 @@ Node (i, j, k) sits at (i, j, k) h; the origin is a node, so walls at multiples 
 
 from dataclasses import dataclass
 
-from mpm.config import Box, Scene
+from mpm.scene import Box, Scene
 
 FREE, ROLLER, FIXED = range(3)
 KINDS = {"free": FREE, "roller": ROLLER, "fixed": FIXED}

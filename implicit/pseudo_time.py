@@ -10,7 +10,7 @@ overstress. All three act on the increment and vanish with it.
 import math
 from dataclasses import dataclass, replace
 
-from mpm.scene import Body
+from mpm.body import Body
 
 GHOST_FADES = 0.5  # step in sqrt(cell/g) beyond which the ghost penalty falls: what it holds must come down in the end
 # Out-of-balance over external force, below which the body may be at rest. A heap creeps on below it, ever more slowly,

@@ -10,7 +10,8 @@ import numpy as np
 from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from compare.drawing import (
+from compare.metrics import axis_of, half_length, highest, profile
+from compare.plots.style import (
     BLACK,
     BLUE,
     DPI,
@@ -29,12 +30,10 @@ from compare.drawing import (
     styled,
     tan_theta,
 )
-from compare.metrics import axis_of, half_length, highest, profile
-from implicit.relaxation import REST_UNBALANCED
-from mpm.analytic import eq4, quasistatic_profile
+from implicit.pseudo_time import REST_UNBALANCED
 from mpm.errors import SceneError
 from mpm.results import Results
-from mpm.scene import has_eq4
+from mpm.theory import eq4, has_eq4, quasistatic_profile
 
 # Column, label, colour, line style.
 RUN_OUTS = (

@@ -1,10 +1,14 @@
-"""Closed forms: the run-out R = (r_inf - r0)/r0 of a column with aspect ratio lambda0 = h0/r0; self-weight.
+"""Closed forms, and of which scenes they speak: the run-out R = (r_inf - r0)/r0 of a column with aspect ratio lambda0 =
+h0/r0; self-weight.
 
 Equation numbers are those of Wyser et al. 2023 (Geosciences 13, 119). Lengths of the run-out are in units of r0.
 """
 
 import numpy as np
 from scipy.special import lambertw
+
+from mpm.body import Body
+from mpm.scene import Column, Scene
 
 SQRT3 = np.sqrt(3.0)
 EQ2_SWITCH = 0.74
@@ -96,3 +100,35 @@ def _truncated_cone(a):
     """Run-out [-] of the truncated cone with its top at h0, a = lambda0/tan(theta); NaN beyond a = 2 sqrt3."""
     square = 4.0 - a * a / 3.0
     return 0.5 * (a + np.sqrt(np.where(square < 0.0, np.nan, square))) - 1.0
+
+
+def has_eq4(scene: dict) -> bool:
+    """Whether Eq. 4 speaks of this resolved scene (`Scene.model_dump(mode="json")`): a column that only friction holds
+    and that gravity pulls."""
+    material = scene["material"]
+    only_friction = material["model"] != "elastic" and material["cohesion"] == 0 and material["friction_angle"] > 0
+    return scene["geometry"]["shape"] == "column" and only_friction and scene["loads"]["gravity"] > 0
+
+
+def theory(scene: Scene) -> dict[str, float | None]:
+    """Run-outs of Eq. 4 and of Eq. 5 in Eq. 4 with theta = phi [-]; None where Eq. 4 does not speak of the scene."""
+    if not has_eq4(scene.model_dump(mode="json")):
+        return {"eq4": None, "eq45": None}
+    lambda0, tangent = scene.geometry.aspect_ratio, float(np.tan(np.radians(scene.material.friction_angle)))
+    return {"eq4": float(eq4(lambda0, tangent)), "eq45": float(eq45(lambda0, tangent))}
+
+
+def outlook(body: Body) -> str:
+    """What is to be expected of a column with cohesion, of which Eq. 4 does not speak, in a line; "" of all others.
+
+    It stands where it is no higher than a vertical cut that stands (`mpm.theory.critical_height`).
+    """
+    scene, material = body.scene, body.scene.material
+    cohesive = material.model != "elastic" and material.cohesion > 0 and scene.loads.gravity > 0
+    if not (cohesive and isinstance(scene.geometry, Column)):
+        return ""
+    critical = critical_height(material.cohesion, material.density, scene.loads.gravity, material.friction_angle)
+    cut = f"that of a vertical cut that just stands, 3.83 c/(rho g) tan(45 degrees + phi/2) = {critical:.3g} m"
+    if body.height <= critical:
+        return f"it stands: its height {body.height:g} m is below {cut}; no Eq. 4, as there is no run-out"
+    return f"no Eq. 4, which is for what only friction holds: the height {body.height:g} m is above {cut}"

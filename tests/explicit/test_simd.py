@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from explicit.kernels.lanes import lanes
+from explicit.kernels.simd import lanes
 from mpm.devices import KERNEL_OPTIONS, start_warp
 
 start_warp()

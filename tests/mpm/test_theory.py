@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 
 from compare.experiments import experiments
-from mpm.analytic import (
+from mpm.theory import (
     dynamic_slope,
     eq2,
     eq4,

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import LogLocator, NullFormatter
 
-from compare.drawing import (
+from compare.experiments import experiments
+from compare.metrics import axis_of, half_length, profile
+from compare.plots.style import (
     BLACK,
     BLUE,
     DPI,
@@ -23,10 +25,7 @@ from compare.drawing import (
     styled,
     tan_theta,
 )
-from compare.experiments import experiments
-from compare.metrics import axis_of, half_length, profile
-from mpm.analytic import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, quasistatic_profile
-from mpm.scene import has_eq4
+from mpm.theory import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, has_eq4, quasistatic_profile
 
 WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
 COLOURS = (ORANGE, GREEN, PURPLE, RED, SKY)  # of runs; blue is the implicit solver's

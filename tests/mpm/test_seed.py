@@ -8,11 +8,12 @@ import meshio
 import numpy as np
 import pytest
 
-from mpm.config import Box, Column, Mesh, load_scene
+from mpm.body import build
 from mpm.errors import SceneError
-from mpm.geometry import Seeds, seed
-from mpm.lattice import FIXED, FREE, NOWHERE, ROLLER, walls_of
-from mpm.scene import build
+from mpm.load import load_scene
+from mpm.scene import Box, Column, Mesh
+from mpm.seed import Seeds, seed
+from mpm.walls import FIXED, FREE, NOWHERE, ROLLER, walls_of
 
 CELL = 0.1
 SPACING = CELL / 2

@@ -7,10 +7,10 @@ import numpy as np
 
 from compare.batch import Job, Outcome, run_all
 from compare.experiments import measured_runout
-from compare.figures import draw_profiles, draw_run_outs
 from compare.metrics import deposit
-from compare.report import refuse_another, write_table
-from compare.sections import (
+from compare.plots.reports import draw_profiles, draw_run_outs
+from compare.report.page import refuse_another, write_table
+from compare.report.sections import (
     HOW_ENDED,
     WHAT_MEASURES_MEAN,
     about,
@@ -24,8 +24,8 @@ from compare.sections import (
     stability_table,
     verdict,
 )
-from mpm.analytic import eq4, eq6, eq45
 from mpm.errors import SceneError
+from mpm.theory import eq4, eq6, eq45
 
 CELLS, QUICK_CELLS = 20, 8  # per r0, of the explicit runs; the paper's resolution is 20
 # Of the implicit runs. An implicit run's cost grows with the fifth power of the resolution: half the paper's.
@@ -57,7 +57,7 @@ def plan(lambda0: list[float], damping: list[float], quick: bool, device: str) -
 def study_paper(
     directory: Path, force, monitor, command: str, lambda0, damping, quick: bool, device: str, workers: int
 ) -> dict:
-    """Run or reuse the paper's runs and draw the figures in `directory`; the report (see `compare.report`)."""
+    """Run or reuse the paper's runs and draw the figures in `directory`; the report (see `compare.report.page`)."""
     if min(lambda0) <= 0 or min(damping) < 0 or max(damping) >= 1:
         raise SceneError("--lambda0: must be > 0 [-]; --damping: must be >= 0 and < 1 [-]")
     about_what = {"study": "paper", "quick": quick, "device": device, "lambda0": lambda0, "damping": damping}

@@ -39,7 +39,7 @@ def banner(run) -> str:
 def announce(body):
     """What to know of a body before it is computed: values that look like another unit, whether it will stand."""
     from mpm.precheck import doubts  # slow to import, and `repose --help` needs none of it
-    from mpm.scene import outlook
+    from mpm.theory import outlook
 
     for doubt in doubts(body):
         err.print(f"warning: {doubt}", style="yellow")

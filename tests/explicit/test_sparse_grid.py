@@ -5,11 +5,11 @@ import pytest
 import warp as wp
 
 from explicit.kernels.layout import layout
-from explicit.pencils import PencilGrid
 from explicit.solver import ExplicitSolver
-from mpm.config import load_scene
+from explicit.sparse_grid import PencilGrid
+from mpm.body import build
 from mpm.devices import start_warp
-from mpm.scene import build
+from mpm.load import load_scene
 
 start_warp()
 CELL = 0.05

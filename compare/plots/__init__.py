@@ -1,0 +1,1 @@
+"""Figures: style, pictures of one run, pictures of reports."""
