@@ -40,7 +40,7 @@ def measure(given) -> dict:
     imported = time.perf_counter()
     scene = load_scene(given.scene, [f"explicit.precision={given.precision}"])
     solver = ExplicitSolver(build(scene), given.device)
-    solver.aim(1e9)
+    solver.set_target(1e9)
     solver.advance(0.0)
     solver.energies()
     ready = time.perf_counter()

@@ -81,7 +81,7 @@ def main():
         "unbalanced_ratio": f"{solver.unbalanced_ratio:.2e}",
         **{key: f"{value:.4f}" for key, value in measures.items()},
         "R_995_over_eq4": f"{measures['R_995'] / eq4 - 1:+.3f}" if eq4 else "",
-        "volume_ratio": f"{solver.state.jacobian.numpy().mean():.4f}",
+        "volume_ratio": f"{solver.material_points.jacobian.numpy().mean():.4f}",
         "wall_s": f"{wall:.1f}",
         "assembly_s": f"{assembly:.1f}",
         "linear_s": f"{seconds['_solve']:.1f}",

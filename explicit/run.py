@@ -124,7 +124,7 @@ class ExplicitRun(Run):
 
     def advance(self) -> dict[str, float] | None:
         """A batch of steps and whatever output is due; the history row, if one was."""
-        self.solver.aim(min(self.snapshots * self.every, self.end))
+        self.solver.set_target(min(self.snapshots * self.every, self.end))
         now = self.solver.advance(self.rows * self.history_every)
         row, ended = None, now >= self.end
         if now >= self.rows * self.history_every or ended:

@@ -13,7 +13,7 @@ import warp as wp
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
 from explicit.kernels.sparse_grid import MARGIN
-from explicit.sparse_grid import PencilGrid
+from explicit.sparse_grid import SparseGrid
 from mpm.body import Body
 from mpm.errors import NumericalError, StepRefused
 from mpm.geostatic import geostatic_strain
@@ -45,7 +45,7 @@ class ExplicitSolver:
         self.points = len(body.x)
         self._target = 0.0
         self._pack(body)
-        self.grid = PencilGrid(self.real, body.scene.grid.cell, self.device)
+        self.grid = SparseGrid(self.real, body.scene.grid.cell, self.device)
         self._allocate_points(body)
         self.clock = self._zeros(K.CLOCK_SIZE, wp.float64)
         self.speed = self._zeros(K.SPEED_SIZE, self.real)
@@ -224,14 +224,14 @@ class ExplicitSolver:
         self._check()
         return {name: float(np.median(each)) for name, each in seconds.items()}
 
-    def aim(self, target: float):
+    def set_target(self, target: float):
         """Set the time [s] that `advance` must not pass; the last step is shortened to meet it."""
         self._target = target
         wp.launch(self.k.set_target, 1, inputs=[self.clock, wp.float64(target)], device=self.device)
 
     def advance(self, until: float) -> float:
         """Take a batch of steps towards time `until` [s]: it may end a step past it, or well before, where the
-        stored nodes must follow the points. The target of `aim` is met exactly. Returns the time reached.
+        stored nodes must follow the points. The target of `set_target` is met exactly. Returns the time reached.
 
         Raises NumericalError when a point's state is not finite, it crosses half a cell in one step, leaves the grid
         or its volume turns negative, and StepRefused when a fixed time step passes the Courant limit.

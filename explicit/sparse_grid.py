@@ -7,13 +7,13 @@ the points reach. Three nodes of one pencil are neighbours in memory, and findin
 import numpy as np
 import warp as wp
 
-from explicit.kernels.sparse_grid import EMPTY, MARGIN, REACH, pencil_kernels
+from explicit.kernels.sparse_grid import EMPTY, MARGIN, REACH, sparse_grid_kernels
 
 WINDOW_SLACK = 8  # cells by which the plan window grows beyond need, so that it seldom has to
 CAPACITY_SLACK = 1.2  # likewise for the node arrays
 
 
-class PencilGrid:
+class SparseGrid:
     """Which nodes are stored, and where.
 
     `base` (window_i, window_j) int32: node (i, j, k) is stored at base[i - i0, j - j0] + k.
@@ -22,7 +22,7 @@ class PencilGrid:
 
     def __init__(self, real, cell: float, device):
         self.real, self.inv_cell, self.device = real, 1.0 / cell, device
-        self.kernels = pencil_kernels(real)
+        self.kernels = sparse_grid_kernels(real)
         self.i0 = self.j0 = 0
         self.shape = (0, 0)
         self.stored = self.capacity = 0

@@ -10,7 +10,7 @@ from mpm.walls import FREE, ROLLER, Walls
 MARGIN = 2  # cells beyond the material that the mesh covers, so that it is not made anew each step
 
 
-class Background:
+class BackgroundMesh:
     """First-order hexahedra on the lattice where material is or is about to be.
 
     `mesh`, `space` (dolfinx): the cells and the vector-valued Lagrange space of degree 1 on them.

@@ -60,7 +60,7 @@ class Points:
 
 
 class Basis:
-    """First nodes, reach, weights and slopes of the points' stencils (see `implicit.kernels.basis.weigh`)."""
+    """First nodes, reach, weights and slopes of the points' stencils (see `implicit.kernels.basis.evaluate_basis`)."""
 
     def __init__(self, count: int):
         self.base = wp.zeros(count, dtype=wp.vec3i, device="cpu")
@@ -71,4 +71,4 @@ class Basis:
     def evaluate(self, x: wp.array, cell: float):
         """uGIMP at points `x` (n,) vec3 [m]."""
         outputs = [self.base, self.reach, self.weight, self.slope]
-        wp.launch(basis.weigh, len(x), inputs=[x, real(1.0 / cell), *outputs], device="cpu")
+        wp.launch(basis.evaluate_basis, len(x), inputs=[x, real(1.0 / cell), *outputs], device="cpu")

@@ -34,7 +34,7 @@ class Regularisation:
     inertia. `ghost` [-]: face ghost penalty over rho g h0, in steps up to sqrt(cell/g)/2; in longer ones it falls as
     1/dt. `viscosity` [-]: overstress per plastic shear strain of a step, over rho g h0. `reach` [-]: distance in
     cells that all but 2 % of the points may go in a step. `cap` [-]: longest step, in sqrt(cell/g). `stiffest` [-]:
-    Young's modulus over rho g h0 up to which a cohesionless material keeps its own moduli (see `softened`).
+    Young's modulus over rho g h0 up to which a cohesionless material keeps its own moduli (see `limit_stiffness`).
     """
 
     drag: float = 1.0
@@ -46,7 +46,7 @@ class Regularisation:
     stiffest: float = 600.0
 
     def of_step(self, body: Body, dt: float) -> dict[str, float]:
-        """Arguments of `System.resist` for a step of `dt` [s]."""
+        """Arguments of `System.set_regularisation` for a step of `dt` [s]."""
         cell, gravity = body.scene.grid.cell, body.scene.loads.gravity
         pressure = body.constants.density * gravity * body.height
         fading = min(1.0, GHOST_FADES * math.sqrt(cell / gravity) / dt)
@@ -59,7 +59,7 @@ class Regularisation:
             "momentum": self.momentum,
         }
 
-    def softened(self, body: Body) -> Body:
+    def limit_stiffness(self, body: Body) -> Body:
         """The body as its collapse is followed: K and G at most what E = `stiffest` rho g h0 and nu = 0.3 give.
 
         A stiffer material has its kinks closer together, in displacement by the ratio of the moduli, and Newton needs

@@ -110,7 +110,7 @@ class ImplicitRun(Run):
         row = {"time": solver.time, "step": solver.steps, "dt": solver.time_step}
         row |= front(self.x, self.body.measure)
         row |= {"unbalanced": solver.unbalanced_ratio, "newton": newton, "failed": failed}
-        row["volume_ratio"] = float(solver.state.jacobian.numpy().mean())
+        row["volume_ratio"] = float(solver.material_points.jacobian.numpy().mean())
         self.add_row(row)
         if wrong := self.misplaced(self.x, row["volume_ratio"]):
             raise NumericalError(f"diverged at step {solver.steps}: {wrong}")
@@ -118,7 +118,7 @@ class ImplicitRun(Run):
 
     def own_fields(self) -> dict:
         """For each of the point fields that the solver knows itself, a function that gives it."""
-        solver, points = self.solver, self.solver.state
+        solver, points = self.solver, self.solver.material_points
         own = {
             "velocity": points.v.numpy,
             "stress": lambda: points.sigma(solver.material),
@@ -128,7 +128,7 @@ class ImplicitRun(Run):
 
     def state(self) -> dict:
         """What a checkpoint holds beside what every run has."""
-        return self.solver.state_to_save() | {"recent": np.array(self.rest.recent).reshape(-1, 2)}
+        return self.solver.state() | {"recent": np.array(self.rest.recent).reshape(-1, 2)}
 
     def restore(self, state: dict):
         """Take over a checkpoint, and drop outputs written after it."""

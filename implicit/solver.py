@@ -3,7 +3,7 @@
 import numpy as np
 
 from implicit.kernels.layout import LAW
-from implicit.mesh import Background
+from implicit.mesh import BackgroundMesh
 from implicit.newton import solve
 from implicit.points import Basis, Points
 from implicit.pseudo_time import Regularisation, StepLength
@@ -28,8 +28,8 @@ SMALLEST_LOAD_STEP = 1 / 64  # of the wanted one
 class ImplicitSolver:
     """Points and background grid of one body.
 
-    `state`: the points (`implicit.points.Points`). `background`: mesh and space in dolfinx. `system`: that of the
-    last step. `time` [s]: pseudo-time; `steps`, `failed_steps`, `newton_iterations`, `linear_iterations` so far;
+    `material_points`: the points (`implicit.points.Points`). `background`: mesh and space in dolfinx. `system`: that of
+    the last step. `time` [s]: pseudo-time; `steps`, `failed_steps`, `newton_iterations`, `linear_iterations` so far;
     `unbalanced_ratio`: norm of the out-of-balance over that of the external nodal forces.
     """
 
@@ -39,14 +39,14 @@ class ImplicitSolver:
         """Raises SceneError for a scene that the implicit solver cannot run."""
         scene = body.scene
         refuse(body, "implicit")
-        self.body = body = regularisation.softened(body)
+        self.body = body = regularisation.limit_stiffness(body)
         self.regularisation = regularisation
         self.cell, self.gravity = scene.grid.cell, scene.loads.gravity
         self.points = len(body.x)
-        self.state = Points(body)
+        self.material_points = Points(body)
         self.material = LAW.pack(body.constants)
         self.weights = Basis(self.points)
-        self.background = Background(self.cell, body.walls)
+        self.background = BackgroundMesh(self.cell, body.walls)
         self.length = StepLength(regularisation, self.cell, self.gravity)
         self.time, self.steps, self.failed_steps = 0.0, 0, 0
         self.newton_iterations = self.linear_iterations = 0
@@ -55,7 +55,7 @@ class ImplicitSolver:
         self.nodes_solved_max = 0
         self.load_share = 0.0
         if scene.loads.initial_stress != "none":
-            self.state.strain(geostatic_strain(body), body.constants.bulk)
+            self.material_points.strain(geostatic_strain(body), body.constants.bulk)
             self.load_share = 1.0
         self._pull()
         self.system = self._new_system()
@@ -69,17 +69,17 @@ class ImplicitSolver:
     @property
     def x(self) -> np.ndarray:
         """Positions (n, 3) [m] of the points."""
-        return self.state.x.numpy()
+        return self.material_points.x.numpy()
 
     def _pull(self):
         """External force of the points at the present share of gravity."""
-        self.state.load.numpy()[:] = [0.0, 0.0, -self.load_share * self.gravity * self.state.mass]
+        self.material_points.load.numpy()[:] = [0.0, 0.0, -self.load_share * self.gravity * self.material_points.mass]
 
     def _new_system(self) -> System:
         """Where the points are now: basis, mesh, unknowns, sparsity."""
-        self.weights.evaluate(self.state.x, self.cell)
+        self.weights.evaluate(self.material_points.x, self.cell)
         self.background.follow(self.weights.base.numpy())
-        system = System(self.state, self.weights, self.background, self.material)
+        system = System(self.material_points, self.weights, self.background, self.material)
         self.nodes_solved_max = max(self.nodes_solved_max, system.count)
         return system
 
@@ -101,7 +101,7 @@ class ImplicitSolver:
         weight = float(np.linalg.norm(system.load))
         wanted = self.length.dt
         while True:
-            system.resist(**self.regularisation.of_step(self.body, self.length.dt))
+            system.set_regularisation(**self.regularisation.of_step(self.body, self.length.dt))
             start = float(np.linalg.norm(system.residual(np.zeros((system.count, 3)))))
             tolerance = max(TIGHTEST * weight, min(REDUCTION * start, LOOSEST * weight))
             outcome = self._solve(tolerance, LINEAR_TOLERANCE)
@@ -113,7 +113,7 @@ class ImplicitSolver:
                 raise NumericalError(self._stuck(f"at the smallest step, {tried:.3g} s", weight))
         self.time += self.length.dt
         self._accept(outcome.u)
-        moved = float(np.quantile(np.linalg.norm(self.state.moved.numpy(), axis=1), MOVED_QUANTILE))
+        moved = float(np.quantile(np.linalg.norm(self.material_points.moved.numpy(), axis=1), MOVED_QUANTILE))
         self.length.accepted(moved, outcome.iterations)
 
     def _load_step(self, wanted: float):
@@ -127,7 +127,7 @@ class ImplicitSolver:
             self._pull()
             self.system = self._new_system()
             weight = float(np.linalg.norm(self.system.load))
-            self.system.resist(ghost=STATIC_GHOST * self.body.constants.shear * self.cell)
+            self.system.set_regularisation(ghost=STATIC_GHOST * self.body.constants.shear * self.cell)
             outcome = self._solve(STATIC_TOLERANCE * weight, STATIC_LINEAR_TOLERANCE)
             if outcome.converged:
                 self._accept(outcome.u)
@@ -168,11 +168,11 @@ class ImplicitSolver:
             )
         )
 
-    def state_to_save(self) -> dict:
+    def state(self) -> dict:
         """Everything a restart needs; `restore` takes it back to the bit."""
         counters = {name: getattr(self, name) for name in self.COUNTERS}
         return {
-            **self.state.state(),
+            **self.material_points.state(),
             **counters,
             "dt": self.length.dt,
             "unbalanced_ratio": self.unbalanced_ratio,
@@ -181,8 +181,8 @@ class ImplicitSolver:
         }
 
     def restore(self, state: dict):
-        """Take over what `state_to_save` gave."""
-        self.state.restore(state)
+        """Take over what `state` gave."""
+        self.material_points.restore(state)
         for name in (*self.COUNTERS, "unbalanced_ratio", "nodes_solved_start", "nodes_solved_max"):
             setattr(self, name, state[name])
         self.length.dt = state["dt"]

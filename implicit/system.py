@@ -11,7 +11,7 @@ import warp as wp
 
 from implicit.kernels import assembly, basis, ghost, points
 from implicit.kernels.layout import NEIGHBOURS, OUTSIDE, SELF, STENCIL, mat33, real, vec3
-from implicit.mesh import Background
+from implicit.mesh import BackgroundMesh
 from implicit.points import Basis, Points
 from implicit.volume import OWN_SHARE, Volume
 
@@ -29,7 +29,7 @@ class System:
     `indptr`, `indices`, and the values that `tangent` gives; `coupling` is the rest of the exact tangent.
     """
 
-    def __init__(self, state: Points, weights: Basis, background: Background, material):
+    def __init__(self, state: Points, weights: Basis, background: BackgroundMesh, material):
         self.state, self.weights, self.material = state, weights, material
         self._stencils = [weights.reach, weights.weight]
         self._number(background)
@@ -45,7 +45,7 @@ class System:
         self._deformed = None
         seen = (self._seen, self._seen_count, self.nodes)
         self.volume = Volume(state, weights, *seen, self._held, material)
-        self.resist()
+        self.set_regularisation()
 
     @staticmethod
     def _zeros(shape, dtype):
@@ -61,7 +61,7 @@ class System:
         corner = wp.vec3i(*(int(c) for c in background.corner))
         touched = self._zeros(window, wp.int32)
         w = self.weights
-        self._launch(basis.touch, self.state.count, w.base, w.reach, w.weight, corner, touched)
+        self._launch(basis.mark_active, self.state.count, w.base, w.reach, w.weight, corner, touched)
         solved = touched.numpy() > 0
         self._seen_count = int(solved.sum())
         self._seen = self._look_up(self._numbered(solved), corner)
@@ -122,7 +122,7 @@ class System:
     def _couple(self):
         """Block rows of the matrix: nodes that share a point or a triple."""
         marks = self._zeros((self.count, NEIGHBOURS), wp.int32)
-        self._launch(basis.couple, self.state.count, self.nodes, self.weights.reach, marks)
+        self._launch(basis.mark_neighbours, self.state.count, self.nodes, self.weights.reach, marks)
         coupled, triples, strides = marks.numpy(), self.triples.numpy(), self.strides.numpy()
         for a in range(3):
             for b in range(3):
@@ -139,7 +139,7 @@ class System:
         self._held = wp.array(self.held.astype(float), dtype=vec3, device="cpu")
         self._values = self._zeros(len(rows), mat33)
 
-    def resist(
+    def set_regularisation(
         self,
         drag: float = 0.0,
         ghost: float = 0.0,
@@ -214,7 +214,7 @@ class System:
         self._launch(assembly.add_diagonal, self.count, self.place, self._inertia, self._values)
         values = self._values.numpy()
         scale = real(np.abs(values[self.place.numpy()[:, SELF], 0, 0]).mean())
-        self._launch(assembly.hold, len(values), self._held, self._rows, self._columns, scale, self._values)
+        self._launch(assembly.apply_dirichlet, len(values), self._held, self._rows, self._columns, scale, self._values)
         return values
 
     def commit(self, u: np.ndarray):

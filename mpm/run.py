@@ -50,7 +50,7 @@ def body_of(results: Results) -> Body:
         raise SceneError(f"{where}: made by another version of Repose; run its scene again ({error})") from None
 
 
-def spoilt(state: dict, farthest: float) -> str:
+def find_invalid(state: dict, farthest: float) -> str:
     """What in a restart state is not finite, or farther than `farthest` [m] from the origin; "" where all is well."""
     points = len(state["x"])
     for name, value in state.items():
@@ -133,7 +133,7 @@ class Run:
 
     def restore(self, state: dict):
         """Take over a checkpoint, and drop outputs written after it. Raises SceneError where it is damaged."""
-        if wrong := self._differs(state) or spoilt(state, self.farthest):
+        if wrong := self._differs(state) or find_invalid(state, self.farthest):
             raise SceneError(f"{self.results.directory}: the checkpoint is damaged: {wrong}")
         self.solver.restore(state)
         self.snapshots, self.wall_before = state["snapshots"], state["wall_before"]
@@ -161,7 +161,7 @@ class Run:
     def whole_state(self) -> dict:
         """`state()`, finite and on the grid. Raises NumericalError that names the point."""
         state = self.state()
-        if wrong := spoilt(state, self.farthest):
+        if wrong := find_invalid(state, self.farthest):
             raise NumericalError(f"diverged at t = {self.solver.time:.6g} s, step {self.solver.steps}: {wrong}")
         return state
 

@@ -24,7 +24,7 @@ def run_to():
     """`run_to(solver, time, every)`: steps to exactly `time` [s]; yields after each batch of about `every` [s]."""
 
     def march(solver, time, every=None):
-        solver.aim(time)
+        solver.set_target(time)
         while solver.time < time:
             solver.advance(solver.time + (every or time))
             yield solver.time

@@ -58,7 +58,7 @@ def explicit(job: dict) -> dict:
     imported = time.perf_counter()
     body = column(job["aspect"], job["cells"], job["precision"])
     solver = ExplicitSolver(body, job["device"])
-    solver.aim(1e9)
+    solver.set_target(1e9)
     solver.advance(0.0)
     ready = time.perf_counter()
     solver.advance(0.0)
@@ -66,7 +66,7 @@ def explicit(job: dict) -> dict:
     yardstick = None
     if not device.is_cuda:
         yardstick = ExplicitSolver(column(job["aspect"], YARDSTICK_CELLS, job["precision"]), job["device"])
-        yardstick.aim(1e9)
+        yardstick.set_target(1e9)
         _set_in_motion(yardstick)
     rates, ratios = [], []
     for _ in range(BATCHES):

@@ -59,7 +59,7 @@ def setting(name: str, value: float):
     """An `act` that sets array `name` of the solver's state to `value` at one point."""
 
     def act(run):
-        array = getattr(run.solver if run.mode == "explicit" else run.solver.state, name)
+        array = getattr(run.solver if run.mode == "explicit" else run.solver.material_points, name)
         values = array.numpy().copy()
         values.reshape(len(values), -1)[POINT] = value
         array.assign(values)

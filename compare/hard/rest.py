@@ -38,7 +38,7 @@ def top(x, body) -> float:
 def advance_to(solver, time: float):
     """Step to `time` [s], exactly so with the explicit solver."""
     if isinstance(solver, ExplicitSolver):
-        solver.aim(time)
+        solver.set_target(time)
         while solver.time < time:
             solver.advance(time)
     else:
@@ -156,7 +156,7 @@ def _shifted(shift: float) -> tuple[float, float, float, float]:
     seeds = seed(scene.geometry, scene.grid.cell)
     body = build(scene, seeds._replace(x=seeds.x + shift * scene.grid.cell * np.array([1.0, 1.0, 0.0])))
     solver = ImplicitSolver(body)
-    solver.system.resist(**Regularisation().of_step(body, STEP))
+    solver.system.set_regularisation(**Regularisation().of_step(body, STEP))
     moving = _condition(solver.system)
     solver.advance()
     highest = body.x[:, 2] == body.x[:, 2].max()

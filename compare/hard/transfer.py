@@ -54,7 +54,7 @@ def cell_crossing():
         solver = ExplicitSolver(body)
         solver.v.assign(np.tile(FLIGHT, (solver.points, 1)))
         end = CELLS_CROSSED * CELL / FLIGHT[0]
-        solver.aim(end)
+        solver.set_target(end)
         while solver.time < end:
             solver.advance(end)
         stress = np.abs(solver.sigma).max() / body.scene.material.young
@@ -79,7 +79,7 @@ def flying_alone():
     sigma = np.zeros((solver.points, 6))
     sigma[flyers, :3] = STRESS_AT_START
     solver.tau.assign(sigma)
-    solver.aim(LONGEST_FLIGHT)
+    solver.set_target(LONGEST_FLIGHT)
     x0, v0 = solver.x.numpy()[flyers].copy(), v[flyers].copy()
     ended, gained, missed, path = np.zeros(len(flyers)), np.zeros(len(flyers)), np.zeros(len(flyers)), 0.0
     last = x0
@@ -144,7 +144,7 @@ def light_node():
         v[-1] = STRAY_SPEED * (np.array([-1.0, -1.0, -1.0]) / np.sqrt(3.0) if corner else np.array([0.0, 0.0, -1.0]))
         solver.v.assign(v)
         end, lightest = 0.3, 1.0
-        solver.aim(end)
+        solver.set_target(end)
         while solver.time < end:
             solver.advance(solver.time)  # one step
             node = solver.node_momentum.numpy()
@@ -187,7 +187,7 @@ def _light_node_implicit():
         for step in range(8):
             dt = solver.time_step
             solver.advance()
-            points = float(np.linalg.norm(solver.state.moved.numpy(), axis=1).max())
+            points = float(np.linalg.norm(solver.material_points.moved.numpy(), axis=1).max())
             ratio = float(np.linalg.norm(solver.system.u.numpy(), axis=1).max()) / points
             lightest = solver.system.node_mass.min() / solver.body.point_mass
             where = f"{place}, step {step + 1}; lightest node {lightest:.0e} of a point"

@@ -1,6 +1,6 @@
 """What all kernels of the explicit step share: index names, vector types, structs.
 
-Node arrays hold only the nodes stored by `PencilGrid`; a point reaches node (i, j, k) through
+Node arrays hold only the nodes stored by `SparseGrid`; a point reaches node (i, j, k) through
 `pencils.base[i - i0, j - j0] + k`, so three nodes of one pencil lie side by side. Time lives on the device in
 `clock`: every kernel returns at once when the current step length is zero, which is how a batch of steps
 stops early without the host looking in.

@@ -13,7 +13,7 @@ import warp as wp
 
 
 @functools.cache
-def lanes(real):
+def simd(real):
     """Return the functions for `real` (wp.float32 or wp.float64).
 
     Members, `w` a weight, `a` and `b` vec4: `scaled(w, a)` = w a; `add_scaled(w, a, b)` = w a + b;

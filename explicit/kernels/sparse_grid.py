@@ -14,7 +14,7 @@ REACH = NODES_PER_AXIS - 1
 
 
 @functools.cache
-def pencil_kernels(real):
+def sparse_grid_kernels(real):
     """Return the kernels for `real`; they share the Warp module of the step kernels (one compile)."""
     types = layout(real)
     name, vec3 = types.name, types.vec3

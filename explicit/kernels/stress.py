@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from explicit.kernels.layout import DT, INVERTED, WORK_PLASTIC, layout
-from explicit.kernels.simd import lanes
+from explicit.kernels.simd import simd
 from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
 
@@ -31,7 +31,7 @@ def stress_kernels(real):
     node_of = types.node_of
     float64 = wp.float64
     stencil, law = gimp(real).stencil, drucker_prager(real)
-    add_scaled, gather = lanes(real).add_scaled, lanes(real).gather
+    add_scaled, gather = simd(real).add_scaled, simd(real).gather
     return_map, second_invariant, node_law = law.return_map, law.second_invariant, law.node_law
     Material = law.Material
     zero, one, two, half, third = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 1.0 / 3.0))

@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from explicit.kernels.layout import CARRIED, DT, GRAVITY, NOT_FINITE, TOO_FAST, WORK_DECAY, layout
-from explicit.kernels.simd import lanes
+from explicit.kernels.simd import simd
 from mpm.gimp import gimp
 
 
@@ -27,7 +27,7 @@ def transfer_kernels(real):
     node_of = types.node_of
     float64 = wp.float64
     stencil, reached = gimp(real).stencil, gimp(real).reached
-    scaled, add_scaled, gather, add = (getattr(lanes(real), name) for name in ("scaled", "add_scaled", "gather", "add"))
+    scaled, add_scaled, gather, add = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "gather", "add"))
     zero, half, one = (wp.constant(real(value)) for value in (0.0, 0.5, 1.0))
 
     @wp.kernel(module=name)

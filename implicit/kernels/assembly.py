@@ -144,7 +144,7 @@ def add_diagonal(
 
 
 @wp.kernel(module=NAME)
-def hold(
+def apply_dirichlet(
     held: wp.array(dtype=vec3),
     row: wp.array(dtype=wp.int32),
     column: wp.array(dtype=wp.int32),

@@ -23,7 +23,7 @@ def reached(ds: vec3, inv_cell: real):
 
 
 @wp.kernel(module=NAME)
-def weigh(
+def evaluate_basis(
     x: wp.array(dtype=vec3),
     inv_cell: real,
     base: wp.array(dtype=wp.vec3i),
@@ -41,7 +41,7 @@ def weigh(
 
 
 @wp.kernel(module=NAME)
-def touch(
+def mark_active(
     base: wp.array(dtype=wp.vec3i),
     reach: wp.array(dtype=wp.vec3i),
     weight: wp.array(dtype=mat33),
@@ -80,7 +80,7 @@ def look_up(
 
 
 @wp.kernel(module=NAME)
-def couple(
+def mark_neighbours(
     nodes: wp.array2d(dtype=wp.int32),
     reach: wp.array(dtype=wp.vec3i),
     coupled: wp.array2d(dtype=wp.int32),

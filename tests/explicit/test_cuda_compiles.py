@@ -4,7 +4,7 @@ import pytest
 import warp as wp
 
 from explicit.kernels import step_kernels
-from explicit.kernels.sparse_grid import pencil_kernels
+from explicit.kernels.sparse_grid import sparse_grid_kernels
 from mpm.devices import start_warp
 
 start_warp()
@@ -12,7 +12,7 @@ start_warp()
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
 def test_kernels_compile_for_cuda(real, tmp_path):
-    kernels = {**vars(step_kernels(real)), **vars(pencil_kernels(real))}
+    kernels = {**vars(step_kernels(real)), **vars(sparse_grid_kernels(real))}
     names = [name for name, kernel in kernels.items() if isinstance(kernel, wp.Kernel)]
     assert {"p2g", "g2p2g", "update_stress", "begin_step", "widen_spans"} <= set(names)
     # PTX, not machine code, so that the names of the entry points can be read.

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from explicit.kernels.simd import lanes
+from explicit.kernels.simd import simd
 from mpm.devices import KERNEL_OPTIONS, start_warp
 
 start_warp()
@@ -15,7 +15,7 @@ def test_four_components_at_once(real):
     module = f"repose_lanes_{real.__name__}"
     wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(module))
     vec3, vec4 = wp.types.vector(3, real), wp.types.vector(4, real)
-    scaled, add_scaled, gather, add = (getattr(lanes(real), name) for name in ("scaled", "add_scaled", "gather", "add"))
+    scaled, add_scaled, gather, add = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "gather", "add"))
 
     @wp.kernel(module=module)
     def call(nodes: wp.array(dtype=vec4), weights: wp.array(dtype=vec3), out: wp.array(dtype=vec4, ndim=2)):

@@ -6,7 +6,7 @@ import warp as wp
 
 from explicit.kernels.layout import layout
 from explicit.solver import ExplicitSolver
-from explicit.sparse_grid import PencilGrid
+from explicit.sparse_grid import SparseGrid
 from mpm.body import build
 from mpm.devices import start_warp
 from mpm.load import load_scene
@@ -17,7 +17,7 @@ VEC3 = layout(wp.float64).vec3
 
 
 def grid_for(x):
-    grid = PencilGrid(wp.float64, CELL, wp.get_device("cpu"))
+    grid = SparseGrid(wp.float64, CELL, wp.get_device("cpu"))
     grid.follow(wp.array(x, dtype=VEC3, device="cpu"))
     return grid
 

@@ -25,7 +25,7 @@ def system_of(overlap, **regularisation):
     seeds = seed(scene.geometry, scene.grid.cell)
     body = build(scene, seeds._replace(x=seeds.x + overlap * scene.grid.cell * np.array([1.0, 1.0, 0.0])))
     solver = ImplicitSolver(body)
-    solver.system.resist(**Regularisation(**regularisation).of_step(body, 0.05))
+    solver.system.set_regularisation(**Regularisation(**regularisation).of_step(body, 0.05))
     return solver.system
 
 

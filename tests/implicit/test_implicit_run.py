@@ -169,7 +169,7 @@ def test_points_that_are_not_finite_are_never_saved(tmp_path):
 
         def row(self, this, row):
             if row["step"] == 3:
-                this.solver.state.x.numpy()[7] = np.nan
+                this.solver.material_points.x.numpy()[7] = np.nan
 
     with pytest.raises(NumericalError, match=r"step 3: x of point 7 is not finite\nlast good state: t = 0 s"):
         run(column("output.every=100"), tmp_path, monitor=Broken())

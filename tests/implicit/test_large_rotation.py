@@ -81,10 +81,10 @@ def cantilever(cells):
     end = x0[:, 0] > LENGTH - 0.5 * cell
     whole = LOAD * YOUNG * cell / 12.0 / length**2
     for step in range(1, STEPS + 1):
-        solver.state.load.numpy()[:] = 0.0
-        solver.state.load.numpy()[end, 2] = -whole * step / STEPS / end.sum()
+        solver.material_points.load.numpy()[:] = 0.0
+        solver.material_points.load.numpy()[end, 2] = -whole * step / STEPS / end.sum()
         system = solver._new_system()
-        system.resist(ghost=STATIC_GHOST * solver.body.constants.shear * cell)
+        system.set_regularisation(ghost=STATIC_GHOST * solver.body.constants.shear * cell)
         outcome = newton.solve(system, 1e-7 * whole, 1e-6)
         assert outcome.converged, f"step {step}: {outcome.residuals}"
         system.commit(outcome.u)

@@ -25,9 +25,9 @@ def elastic_column(young):
     start_warp()
     changes = ["material.model=elastic", f"material.young={young}", "loads.initial_stress=none", "grid.cell=0.25"]
     solver = ImplicitSolver(build(load_scene("column_small", changes)))
-    solver.state.load.numpy()[:, 2] = -solver.gravity * solver.state.mass
+    solver.material_points.load.numpy()[:, 2] = -solver.gravity * solver.material_points.mass
     system = solver._new_system()
-    system.resist(ghost=STATIC_GHOST * solver.body.constants.shear * solver.cell)
+    system.set_regularisation(ghost=STATIC_GHOST * solver.body.constants.shear * solver.cell)
     return system, float(np.linalg.norm(system.load))
 
 
@@ -61,9 +61,9 @@ def loaded_beam():
         "loads": {"initial_stress": "none"},
     }
     solver = ImplicitSolver(build(parse_scene(table)))
-    solver.state.load.numpy()[:, 2] = -0.05 * solver.gravity * solver.state.mass
+    solver.material_points.load.numpy()[:, 2] = -0.05 * solver.gravity * solver.material_points.mass
     system = solver._new_system()
-    system.resist(ghost=STATIC_GHOST * solver.body.constants.shear * solver.cell)
+    system.set_regularisation(ghost=STATIC_GHOST * solver.body.constants.shear * solver.cell)
     return system, float(np.linalg.norm(system.load))
 
 

@@ -72,14 +72,14 @@ def compacted(cells, young, following=False):
     solver = implicit_solver.ImplicitSolver(build(parse_scene(table)))
     if following:
         solver.weights = FollowingBasis(solver.points)
-        solver.weights.jacobian = solver.state.jacobian
+        solver.weights.jacobian = solver.material_points.jacobian
     while solver.load_share < 1.0:
         solver.advance()
     assert solver.failed_steps == 0 and solver.steps == LOAD_STEPS[young]
     exact = -DENSITY * GRAVITY * (HEIGHT - solver.body.x[:, 2])
-    sigma = solver.state.sigma(solver.material)
+    sigma = solver.material_points.sigma(solver.material)
     error = np.abs(sigma[:, 2] - exact).mean() / (DENSITY * GRAVITY * HEIGHT)
-    height = solver.state.jacobian.numpy().sum() * solver.state.volume / cell**2
+    height = solver.material_points.jacobian.numpy().sum() * solver.material_points.volume / cell**2
     return error, height / self_weight_height(young, DENSITY, GRAVITY, HEIGHT) - 1.0, solver
 
 
@@ -132,7 +132,7 @@ def test_nothing_happens_sideways():
     lateral = []
     for cells in (8, 16):
         _, _, solver = compacted(cells, STIFF)
-        sigma = solver.state.sigma(solver.material)
+        sigma = solver.material_points.sigma(solver.material)
         vertical = np.abs(sigma[:, 2]).max()
         assert np.abs(sigma[:, 3:]).max() < 1e-9 * vertical
         assert np.abs(sigma[:, 0] - sigma[:, 1]).max() < 1e-9 * vertical

@@ -15,7 +15,7 @@ from mpm.load import parse_scene
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
 from implicit._dolfinx import dolfinx, function_space, ufl
 from implicit.kernels.layout import LAW
-from implicit.mesh import Background
+from implicit.mesh import BackgroundMesh
 from implicit.points import Basis, Points
 from implicit.system import System
 
@@ -92,10 +92,10 @@ def test_elastic_stiffness_is_that_of_dolfinx():
     # each seeded point to the Gauss point of its octant
     middle = (np.floor(body.x / CELL) + 0.5) * CELL
     state.x.numpy()[:] = middle + np.sign(body.x - middle) * 0.5 * CELL / np.sqrt(3.0)
-    weights, background = linear_basis(state.x.numpy(), CELL), Background(CELL, body.walls)
+    weights, background = linear_basis(state.x.numpy(), CELL), BackgroundMesh(CELL, body.walls)
     background.follow(weights.base.numpy())
     system = System(state, weights, background, LAW.pack(body.constants))
-    system.resist()
+    system.set_regularisation()
     assert system.count == np.prod(np.array(CELLS) + 1) and not system.held.any()
     blocks = (system.tangent(np.zeros((system.count, 3))), system.indices, system.indptr)
     assembled = scipy.sparse.bsr_matrix(blocks).toarray()

@@ -11,7 +11,7 @@ from mpm.load import load_scene
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
 from implicit.kernels.layout import LAW
-from implicit.mesh import Background
+from implicit.mesh import BackgroundMesh
 from implicit.points import Basis, Points
 from implicit.system import System
 
@@ -29,7 +29,7 @@ class Case:
     `theta`: the points' volume strain; `spread`: its scatter from node to node.
     """
 
-    def __init__(self, overrides=(), theta=0.0, spread=0.0, deviator=0.0, jitter=0.0, u=0.0, resist=None):
+    def __init__(self, overrides=(), theta=0.0, spread=0.0, deviator=0.0, jitter=0.0, u=0.0, regularised=None):
         start_warp()
         rng = np.random.default_rng(1)
         body = build(load_scene("column_small", [START, *overrides]))
@@ -47,11 +47,11 @@ class Case:
         state.theta.numpy()[:] = theta + spread * (2.0 * blocks - 1.0 + 0.5 * rng.normal(size=state.count))
         state.load.numpy()[:, 2] = -9.81 * state.mass
         state.v.numpy()[:] = rng.normal(size=body.x.shape)
-        weights, background = Basis(state.count), Background(cell, body.walls)
+        weights, background = Basis(state.count), BackgroundMesh(cell, body.walls)
         weights.evaluate(state.x, cell)
         background.follow(weights.base.numpy())
         self.system = System(state, weights, background, LAW.pack(body.constants))
-        self.system.resist(**(resist or {}))
+        self.system.set_regularisation(**(regularised or {}))
         self.u = u * cell * rng.normal(size=(self.system.count, 3))
         self.direction = rng.normal(size=self.u.shape)
         self.places = cell * (self.system._at + background.corner)  # of the nodes [m]
@@ -136,7 +136,7 @@ def test_everything_open_and_cohesionless():
     case = Case(theta=1.2e-2, jitter=1e-4, u=1e-4)
     free = ~case.system.held.ravel()
     assert abs(case.matrix()[free][:, free]).max() < 1e-15 * case.constants.shear * case.cell
-    case = Case(theta=1.2e-2, jitter=1e-4, u=1e-4, resist=EVERYTHING | {"viscous": 0.0})
+    case = Case(theta=1.2e-2, jitter=1e-4, u=1e-4, regularised=EVERYTHING | {"viscous": 0.0})
     assert case.error() < LIMIT
     assert case.regime() == (1.0, 1.0)
 
@@ -176,13 +176,13 @@ def test_two_equal_stretches_on_the_cone():
 
 @pytest.mark.parametrize("overrides", [(), DILATANT], ids=["cohesionless", "dilatant"])
 def test_with_ghost_springs_drag_momentum_and_viscosity(overrides):
-    case = Case(overrides, theta=-1e-3, spread=3e-3, jitter=1e-3, u=2e-3, resist=EVERYTHING)
+    case = Case(overrides, theta=-1e-3, spread=3e-3, jitter=1e-3, u=2e-3, regularised=EVERYTHING)
     assert len(case.system.triples) > 0
     assert case.error() < LIMIT
 
 
 def test_viscosity_on_the_cone():
-    case = cone(resist={"viscous": 0.1})
+    case = cone(regularised={"viscous": 0.1})
     assert case.error() < LIMIT
     assert case.regime() == (1.0, 0.0)
 

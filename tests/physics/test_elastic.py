@@ -58,7 +58,7 @@ def test_rigid_rotation_turns_the_stress_and_changes_nothing_else(solver_of):
     """
     solver = solver_of("self_weight", "geometry.walls={z_min='free'}", "loads.gravity=0.0", "explicit.until=1.0",
                        "output.history_every=1.0")  # fmt: skip
-    solver.aim(1.0)
+    solver.set_target(1.0)
     solver.step()  # fills clock and grid
     steps, angle = 500, np.pi / 2
     dt = float(solver.clock.numpy()[1])
