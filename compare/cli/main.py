@@ -344,13 +344,14 @@ def _open(directory: Path, report: dict):
 
 def _draw(directory: Path) -> list[Path]:
     from compare.plots.run import plot_history, plot_morphology, plot_profile
+    from compare.plots.style import save
     from mpm.results import Results
 
     results = Results.open(directory)
     drawings = {"morphology.png": plot_morphology, "profile.png": plot_profile, "history.png": plot_history}
     if results.scene["geometry"]["shape"] != "column":
         del drawings["profile.png"]  # over the radius, which only a column has
-    return [draw(results, directory / name) for name, draw in drawings.items()]
+    return [save(draw(results), directory / name) for name, draw in drawings.items()]
 
 
 def _table1(body) -> Table:

@@ -1,12 +1,10 @@
 """Pictures of one run, made from its results store alone.
 
-Each function draws into a Figure of its own (no pyplot, so nothing global is left behind) and returns the
-path it wrote.
+Each function draws into a matplotlib Figure of its own (no pyplot, so nothing global is left behind) and returns it.
 """
 
-from pathlib import Path
-
 import numpy as np
+from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d import proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
@@ -26,7 +24,6 @@ from compare.plots.style import (
     hull,
     last_snapshot,
     new_figure,
-    save,
     styled,
     tan_theta,
 )
@@ -52,7 +49,7 @@ ENERGIES = (
 )
 
 
-def plot_morphology(results: Results, path) -> Path:
+def plot_morphology(results: Results) -> Figure:
     """The deposit of the last snapshot in 3D and in a vertical section, as in Fig. 9 of Wyser et al. 2023.
 
     Colour is the equivalent plastic strain, or the displacement [m] where there is none (elastic scenes).
@@ -73,10 +70,10 @@ def plot_morphology(results: Results, path) -> Path:
         figure.colorbar(points, cax=scale, label=label, extend="max")
         scale.grid(False)
         figure.text(0.02, 0.95, f"{results.scene['name']}, t = {last['time']:.3g} s", weight="bold")
-        return save(figure, path)
+        return figure
 
 
-def plot_profile(results: Results, path) -> Path:
+def plot_profile(results: Results) -> Figure:
     """Height of the last snapshot's deposit over the radius, against Eq. 4's solid and the initial column.
 
     Raises SceneError for a scene that is not a column, and without a snapshot.
@@ -105,10 +102,10 @@ def plot_profile(results: Results, path) -> Path:
         axes.set(xlim=(0, edges[-1]), ylim=(0, None), xlabel="radius r [m]", ylabel="height [m]")
         axes.set_title(f"{scene['name']}, t = {last['time']:.3g} s", loc="left", weight="bold")
         axes.legend(frameon=False)
-        return save(figure, path)
+        return figure
 
 
-def plot_history(results: Results, path) -> Path:
+def plot_history(results: Results) -> Figure:
     """Run-out measures over time, beside them energies (explicit) or balance and Newton's iterations (implicit).
 
     Raises SceneError where no history was written.
@@ -136,7 +133,7 @@ def plot_history(results: Results, path) -> Path:
         run_out.set(xlabel=time, ylabel="run-out $(r - r_0)/r_0$ [-]")
         run_out.set_title(scene["name"], loc="left", weight="bold")
         run_out.legend(frameon=False)
-        return save(figure, path)
+        return figure
 
 
 def _draw_view(axes, x, x0, values, cell, half, colours):

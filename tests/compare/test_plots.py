@@ -1,6 +1,6 @@
-"""The pictures: written, not blank, and drawn from the right numbers."""
+"""The pictures: not blank, and drawn from the right numbers."""
 
-import time
+import io
 
 import numpy as np
 import pytest
@@ -71,18 +71,14 @@ def column(tmp_path):
     return store(tmp_path / "run", scene(), x0, x, rows, volume=volume, eps_p_eqv=np.hypot(*(x - x0)[:, ::2].T))
 
 
-def colours(path):
+def colours(figure):
     """Distinct colours of a picture, and the part of it that is not background."""
-    pixels = np.round(imread(path)[..., :3] * 255).astype(int).reshape(-1, 3)
+    file = io.BytesIO()
+    figure.savefig(file)
+    file.seek(0)
+    pixels = np.round(imread(file)[..., :3] * 255).astype(int).reshape(-1, 3)
     codes, counts = np.unique(pixels @ [65536, 256, 1], return_counts=True)
     return len(codes), 1.0 - counts.max() / counts.sum()
-
-
-def drawn(monkeypatch):
-    """Collects the figures instead of writing them, to look at what is in them."""
-    figures = []
-    monkeypatch.setattr(plots, "save", lambda figure, path: figures.append(figure))
-    return figures
 
 
 def line(axes, label):
@@ -94,27 +90,23 @@ def line(axes, label):
     ("plot", "least_colours", "least_ink"),
     [(plot_morphology, 1000, 0.1), (plot_profile, 100, 0.1), (plot_history, 100, 0.02)],
 )
-def test_picture_is_written_where_asked_and_not_blank(column, tmp_path, plot, least_colours, least_ink):
-    path = plot(column, tmp_path / "picture.png")
-    assert path == tmp_path / "picture.png"
-    count, ink = colours(path)
+def test_picture_is_not_blank(column, plot, least_colours, least_ink):
+    count, ink = colours(plot(column))
     assert count > least_colours
     assert ink > least_ink
 
 
-def test_colour_scale_ends_at_the_98_percent_quantile(column, tmp_path, monkeypatch):
-    figures = drawn(monkeypatch)
-    plot_morphology(column, tmp_path / "picture.png")
-    _, section, scale = figures[0].axes
+def test_colour_scale_ends_at_the_98_percent_quantile(column):
+    figure = plot_morphology(column)
+    _, section, scale = figure.axes
     strain = column.snapshot(-1)["eps_p_eqv"]
     assert scale.get_ylabel() == "equivalent plastic strain [-]"
     assert section.collections[0].get_clim() == (0.0, pytest.approx(np.quantile(strain, 0.98)))
 
 
-def test_section_shows_the_points_by_the_symmetry_plane_and_the_initial_outline(column, tmp_path, monkeypatch):
-    figures = drawn(monkeypatch)
-    plot_morphology(column, tmp_path / "picture.png")
-    section = figures[0].axes[1]
+def test_section_shows_the_points_by_the_symmetry_plane_and_the_initial_outline(column):
+    figure = plot_morphology(column)
+    section = figure.axes[1]
     x = column.snapshot(-1)["x"]
     near = x[np.abs(x[:, 1]) < CELL]
     np.testing.assert_array_equal(section.collections[0].get_offsets(), near[:, [0, 2]])
@@ -124,15 +116,13 @@ def test_section_shows_the_points_by_the_symmetry_plane_and_the_initial_outline(
     assert section.get_aspect() == 1.0
 
 
-def test_elastic_scene_is_coloured_by_displacement_and_has_no_eq4(tmp_path, monkeypatch):
+def test_elastic_scene_is_coloured_by_displacement_and_has_no_eq4(tmp_path):
     x0 = block((8, 8, 8), CELL / 2)
     rows = [{"time": t, "R_max": 0.0, "W_ext": t, "KE_points": 0.0, "E_elastic": t} for t in (0.0, 1.0)]
     run = store(tmp_path / "run", scene(model="elastic"), x0, x0 * [1, 1, 0.9], rows)
-    for plot in (plot_morphology, plot_profile, plot_history):
-        assert colours(plot(run, tmp_path / "picture.png"))[0] > 50
-    figures = drawn(monkeypatch)
-    for plot in (plot_morphology, plot_profile, plot_history):
-        plot(run, tmp_path / "picture.png")
+    figures = [plot(run) for plot in (plot_morphology, plot_profile, plot_history)]
+    for figure in figures:
+        assert colours(figure)[0] > 50
     assert figures[0].axes[2].get_ylabel() == "displacement [m]"
     labels = [text.get_text() for figure in figures[1:] for text in figure.axes[0].get_legend().get_texts()]
     assert labels and not any("Eq. 4" in label for label in labels)
@@ -142,16 +132,15 @@ def test_undeformed_and_one_point_thick_bodies_can_be_drawn(tmp_path):
     """No strain gives no colour range, one layer of points has no hull of its own."""
     x0 = block((8, 1, 8), CELL / 2)
     run = store(tmp_path / "run", scene("box"), x0, x0, eps_p_eqv=np.zeros(len(x0)))
-    assert colours(plot_morphology(run, tmp_path / "picture.png"))[0] > 50
+    assert colours(plot_morphology(run))[0] > 50
 
 
-def test_flat_body_off_its_axis_is_cut_where_it_comes_nearest_to_it(tmp_path, monkeypatch):
+def test_flat_body_off_its_axis_is_cut_where_it_comes_nearest_to_it(tmp_path):
     x0 = block((8, 8, 8), CELL / 2) + np.array([0.0, 5.0, 0.0])
     run = store(tmp_path / "run", scene("mesh"), x0, x0)
-    figures = drawn(monkeypatch)
-    plot_morphology(run, tmp_path / "picture.png")
-    assert "y = 5.03 m" in figures[0].axes[1].get_title(loc="left")
-    assert len(figures[0].axes[1].collections[0].get_offsets()) == 2 * 8 * 8
+    figure = plot_morphology(run)
+    assert "y = 5.03 m" in figure.axes[1].get_title(loc="left")
+    assert len(figure.axes[1].collections[0].get_offsets()) == 2 * 8 * 8
 
 
 @pytest.mark.parametrize(
@@ -162,23 +151,21 @@ def test_flat_body_off_its_axis_is_cut_where_it_comes_nearest_to_it(tmp_path, mo
         (None, (0.5, 1.1), "y = 1.1 m"),  # a flat top: the axis
     ],
 )
-def test_section_of_a_mesh_body_passes_through_its_top(tmp_path, monkeypatch, top, axis, plane):
+def test_section_of_a_mesh_body_passes_through_its_top(tmp_path, top, axis, plane):
     x0 = block((8, 24, 4), CELL / 2)
     if top:
         tower = block((2, 2, 8), CELL / 2) + np.array([*top, 0.0])
         x0 = np.unique(np.concatenate([x0, tower]).round(9), axis=0)
     run = store(tmp_path / "run", scene("mesh"), x0, x0, axis=axis)
-    figures = drawn(monkeypatch)
-    plot_morphology(run, tmp_path / "picture.png")
-    assert plane in figures[0].axes[1].get_title(loc="left")
+    figure = plot_morphology(run)
+    assert plane in figure.axes[1].get_title(loc="left")
 
 
-def test_200_000_points_are_thinned_to_the_surface_and_drawn_in_time(tmp_path):
+def test_200_000_points_are_thinned_to_the_surface(tmp_path):
     x0 = block((60, 60, 56), 0.025)
     run = store(tmp_path / "run", scene("box", cell=0.05), x0, x0 * [1.3, 1.3, 0.6], eps_p_eqv=x0[:, 2])
-    start = time.perf_counter()
-    plot_morphology(run, tmp_path / "picture.png")
-    assert time.perf_counter() - start < 20.0
+    view = plot_morphology(run).axes[0]
+    assert len(view.collections[-1].get_offsets()) < len(x0) / 4
 
 
 def test_surface_points_are_those_of_the_outer_cells():
@@ -187,10 +174,9 @@ def test_surface_points_are_those_of_the_outer_cells():
     np.testing.assert_array_equal(plots._on_surface(x, 1.0), ~hidden)
 
 
-def test_profile_of_eq4s_solid_lies_on_eq4(column, tmp_path, monkeypatch):
-    figures = drawn(monkeypatch)
-    plot_profile(column, tmp_path / "picture.png")
-    axes = figures[0].axes[0]
+def test_profile_of_eq4s_solid_lies_on_eq4(column):
+    figure = plot_profile(column)
+    axes = figure.axes[0]
     r, height = line(axes, "Eq. 4 (quasistatic)").T
     rings, top = line(axes, "highest point in the ring").T
     rings, top = rings[np.isfinite(top)], top[np.isfinite(top)]
@@ -215,13 +201,12 @@ def test_profile_is_refused_for_a_box(tmp_path):
     x0 = block((4, 4, 4), CELL / 2)
     run = store(tmp_path / "run", scene("box"), x0, x0)
     with pytest.raises(SceneError, match="only a column"):
-        plot_profile(run, tmp_path / "picture.png")
+        plot_profile(run)
 
 
-def test_history_shows_run_outs_eq4_and_every_energy(column, tmp_path, monkeypatch):
-    figures = drawn(monkeypatch)
-    plot_history(column, tmp_path / "picture.png")
-    run_out, energy = figures[0].axes
+def test_history_shows_run_outs_eq4_and_every_energy(column):
+    figure = plot_history(column)
+    run_out, energy = figure.axes
     times, r_max = line(run_out, "farthest point").T
     np.testing.assert_allclose(r_max, 0.6 * times)
     assert line(run_out, "Eq. 4 (quasistatic)")[0, 1] == pytest.approx(float(eq4(1.0, TAN)))
@@ -233,17 +218,16 @@ def test_history_shows_run_outs_eq4_and_every_energy(column, tmp_path, monkeypat
     assert (run_out.get_xlabel(), energy.get_ylabel()) == ("time [s]", "energy [J]")
 
 
-def test_history_of_an_implicit_run_shows_balance_and_iterations(tmp_path, monkeypatch):
+def test_history_of_an_implicit_run_shows_balance_and_iterations(tmp_path):
     x0 = block((8, 8, 8), CELL / 2)
     rows = [
         {"time": t, "R_max": 0.6 * t, "R_995": 0.5 * t, "unbalanced": 0.1**t if t else np.inf, "newton": 2 * t}
         for t in range(4)
     ]
     run = store(tmp_path / "run", scene(), x0, x0, rows)
-    assert colours(plot_history(run, tmp_path / "picture.png"))[0] > 50
-    figures = drawn(monkeypatch)
-    plot_history(run, tmp_path / "picture.png")
-    run_out, balance, counts = figures[0].axes
+    figure = plot_history(run)
+    assert colours(figure)[0] > 50
+    run_out, balance, counts = figure.axes
     np.testing.assert_allclose(line(run_out, "farthest point")[:, 1], [0.0, 0.6, 1.2, 1.8])
     np.testing.assert_allclose(line(balance, "out-of-balance")[1:, 1], [0.1, 0.01, 0.001])
     assert line(balance, "bound for rest")[0, 1] == REST_UNBALANCED
@@ -256,15 +240,15 @@ def test_history_of_an_implicit_run_shows_balance_and_iterations(tmp_path, monke
 def test_empty_run_is_a_scene_error(tmp_path, plot):
     run = Results.create(tmp_path / "run", scene(), {})
     with pytest.raises(SceneError, match="to plot"):
-        plot(run, tmp_path / "picture.png")
+        plot(run)
 
 
-def test_nothing_global_is_left_behind(column, tmp_path):
+def test_nothing_global_is_left_behind(column):
     import matplotlib
     from matplotlib import _pylab_helpers
 
     before = dict(matplotlib.rcParams)
     for plot in (plot_morphology, plot_profile, plot_history):
-        plot(column, tmp_path / "picture.png")
+        plot(column)
     assert dict(matplotlib.rcParams) == before
     assert _pylab_helpers.Gcf.get_all_fig_managers() == []
