@@ -224,6 +224,12 @@ class ExplicitSolver:
         self._check()
         return {name: float(np.median(each)) for name, each in seconds.items()}
 
+    def advance_to(self, time: float):
+        """Step to exactly `time` [s]. Raises as `advance`."""
+        self.set_target(time)
+        while self.time < time:
+            self.advance(time)
+
     def set_target(self, target: float):
         """Set the time [s] that `advance` must not pass; the last step is shortened to meet it."""
         self._target = target

@@ -83,6 +83,11 @@ class ImplicitSolver:
         self.nodes_solved_max = max(self.nodes_solved_max, system.count)
         return system
 
+    def advance_to(self, time: float):
+        """Step until `time` [s] of pseudo-time is reached or, by less than a step, passed. Raises as `advance`."""
+        while self.time < time:
+            self.advance()
+
     def advance(self):
         """One step: of gravity, while it is not whole, then of the collapse. Its Newton may need several tries.
 

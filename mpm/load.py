@@ -1,6 +1,7 @@
 """A scene file or a preset's name -> a validated scene, or every problem at once, one line each."""
 
 import difflib
+import json
 import math
 import os
 import tomllib
@@ -43,12 +44,16 @@ def read_scene_file(reference: str) -> tuple[dict, Path]:
         raise SceneError(f"scene '{reference}': not a readable TOML file: {error}") from None
 
 
-def load_scene(reference: str, overrides: list[str] = ()) -> Scene:
+def load_scene(reference: str, overrides: list[str] = (), sections: dict | None = None) -> Scene:
     """Validated scene from a file or preset name, with `key=value` overrides (dotted keys, TOML values).
 
+    `sections`: keys to set, section by section, as {"explicit": {"damping": 0.4}}; "name" is a text.
     Raises SceneError with every problem found, one line each.
     """
     table, folder = read_scene_file(reference)
+    for name, value in (sections or {}).items():
+        both = isinstance(value, dict) and isinstance(table.get(name), dict)
+        table[name] = table[name] | value if both else value
     problems = [problem for item in overrides if (problem := _override(table, item))]
     if problems:
         raise SceneError(problems)
@@ -167,3 +172,21 @@ def _point_count(shape, cell: float) -> float:
         return math.prod(2.0 * length / cell for length in shape.size)
     circle = math.pi * {"quarter": 0.25, "half": 0.5, "full": 1.0}[shape.symmetry]
     return circle * (2.0 * shape.radius / cell) * (2.0 * shape.radius / cell) * (2.0 * shape.height / cell)
+
+
+def to_toml(scene: Scene) -> str:
+    """The scene as the text of a scene file: `load_scene` of that file gives the same scene."""
+    table = scene.model_dump(mode="json", exclude_none=True)
+    sections = [f"[{name}]\n" + _lines(its) for name, its in table.items() if isinstance(its, dict)]
+    return "\n".join([_lines({name: its for name, its in table.items() if not isinstance(its, dict)}), *sections])
+
+
+def _lines(table: dict) -> str:
+    return "".join(f"{key} = {_toml(value)}\n" for key, value in table.items())
+
+
+def _toml(value) -> str:
+    """A value of a scene as TOML writes it: of JSON's types all but tables are the same."""
+    if isinstance(value, dict):
+        return "{ " + ", ".join(f"{key} = {_toml(item)}" for key, item in value.items()) + " }"
+    return json.dumps(value)

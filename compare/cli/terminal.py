@@ -48,17 +48,18 @@ def announce(body):
 
 
 class Monitor:
-    """Follows a run: `start` prints the banner and what `announce` says, `row` moves the bar (or prints a line), `stop`
-    clears it."""
+    """Follows a run: `start` prints the banner, where it is wanted, and what `announce` says, `row` moves the bar (or
+    prints a line), `stop` clears it."""
 
-    def __init__(self):
-        self.progress = None
+    def __init__(self, banner=True):
+        self.banner, self.progress = banner, None
         self.last_line = 0.0
 
     def start(self, run):
-        out.print(banner(run))
+        if self.banner:
+            out.print(banner(run))
         announce(run.body)
-        if not out.is_terminal:
+        if not (out.is_terminal or out.is_jupyter):
             return
         columns = (
             TextColumn(PROGRESS[run.mode]),

@@ -35,17 +35,6 @@ def top(x, body) -> float:
     return front(x, body.measure)["height"] / body.height
 
 
-def advance_to(solver, time: float):
-    """Step to `time` [s], exactly so with the explicit solver."""
-    if isinstance(solver, ExplicitSolver):
-        solver.set_target(time)
-        while solver.time < time:
-            solver.advance(time)
-    else:
-        while solver.time < time:
-            solver.advance()
-
-
 @hard_case("quiet column")
 def quiet_column():
     """Gravity comes suddenly; after the elastic settlement nothing moves, at D = 0.4."""
@@ -55,7 +44,7 @@ def quiet_column():
         body = solver.body
         tops, kinetic = [], []
         for quarter in range(1, 4 * WATCHED + 1):
-            advance_to(solver, quarter / 4 * free_fall(body))
+            solver.advance_to(quarter / 4 * free_fall(body))
             tops.append(top(solver.x.numpy(), body))
             kinetic.append(solver.energies()["KE_grid"])
         late = slice(4 * SETTLED - 1, None)
@@ -84,7 +73,7 @@ def quiet_column_implicit():
         )
         tops, body = [], run.body
         for time in np.arange(SETTLED, WATCHED + 1) * free_fall(body):
-            advance_to(run.solver, time)
+            run.solver.advance_to(time)
             tops.append(top(run.x, body))
         note = f"settled by {1.0 - tops[-1]:.2e} h0"
         yield Finding(f"{name}: drift of the top", "implicit", float(np.ptp(tops)), 1e-3, TOP_REASON, note)
@@ -109,7 +98,7 @@ def creep_after_rest_implicit():
 
 def _creep(run: Run) -> Finding:
     end, before = run.solver.time, run.last_row["R_995"]
-    advance_to(run.solver, end + 4.0 * run.body.time_scale)
+    run.solver.advance_to(end + 4.0 * run.body.time_scale)
     after = front(run.x, run.body.measure)["R_995"]
     note = f"R {before:.4f} to {after:.4f} after {run.stop_reason} at {end:.3g} s"
     what = f"lambda0 = {run.body.scene.geometry.aspect_ratio:g}: R in another 4 sqrt(h0/g)"

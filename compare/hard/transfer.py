@@ -54,9 +54,7 @@ def cell_crossing():
         solver = ExplicitSolver(body)
         solver.v.assign(np.tile(FLIGHT, (solver.points, 1)))
         end = CELLS_CROSSED * CELL / FLIGHT[0]
-        solver.set_target(end)
-        while solver.time < end:
-            solver.advance(end)
+        solver.advance_to(end)
         stress = np.abs(solver.sigma).max() / body.scene.material.young
         drift = np.linalg.norm(solver.v.numpy() - FLIGHT, axis=1).max() / np.linalg.norm(FLIGHT)
         note = f"{solver.steps} steps, {CELLS_CROSSED} cells along x"

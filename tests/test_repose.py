@@ -1,0 +1,115 @@
+"""The Python face: what a script or a notebook calls."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import repose
+from mpm.load import preset_names, to_toml
+
+COARSE = {"grid": {"cell": 0.25}, "explicit": {"damping": 0.4, "until": 0.4}, "output": {"every": 0.1}}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return repose.run(repose.load_scene("column_small", **COARSE), progress=False)
+
+
+def test_sections_change_single_keys_of_a_preset():
+    scene = repose.load_scene("column_small", **COARSE)
+    assert (scene.grid.cell, scene.explicit.damping, scene.explicit.cfl) == (0.25, 0.4, 0.5)
+    assert scene.geometry == repose.load_scene("column_small").geometry
+
+
+def test_every_problem_of_a_scene_is_told_at_once():
+    with pytest.raises(repose.SceneError) as error:
+        repose.load_scene("column_small", grid={"cell": -1}, material={"poisson": 0.7}, explicit={"dampening": 0.1})
+    assert len(error.value.problems) == 3
+    assert "did you mean 'damping'?" in str(error.value)
+
+
+def test_results_are_arrays_and_figures(result):
+    assert result.summary["stop_reason"] == "end_time"
+    np.testing.assert_allclose(result.times, [0.0, 0.1, 0.2, 0.3, 0.4])
+    assert result.history["time"][-1] == pytest.approx(0.4)
+    assert result.points.shape == (len(repose.Solver(result.scene).x), 3)
+    np.testing.assert_array_equal(result.points, result.snapshot(4)["x"])
+    assert result.snapshot(0)["stress"].shape == (len(result.points), 6)
+    for figure in (result.plot_profile(), result.plot_morphology(), result.plot_history()):
+        assert isinstance(figure, Figure) and figure.axes
+    assert "R_995" in repr(result)
+
+
+def test_a_run_without_a_folder_leaves_nothing_behind():
+    short = repose.load_scene("column_small", grid={"cell": 0.25}, explicit={"until": 0.01})
+    result = repose.run(short, progress=False)
+    folder = result.directory
+    assert (folder / "results.h5").is_file()
+    del result
+    assert not folder.exists()
+
+
+def test_a_cell_can_be_run_again_and_another_scene_is_not_overwritten(tmp_path, capsys):
+    scene = repose.load_scene("column_small", grid={"cell": 0.25}, explicit={"until": 0.01})
+    first = repose.run(scene, tmp_path / "run", progress=False)
+    written = (first.directory / "results.h5").stat().st_mtime_ns
+    again = repose.run(scene, tmp_path / "run")
+    assert (again.directory / "results.h5").stat().st_mtime_ns == written
+    assert capsys.readouterr().out == ""  # no banner, and nothing to wait for
+    other = repose.load_scene("column_small", grid={"cell": 0.25}, explicit={"until": 0.02})
+    with pytest.raises(repose.SceneError, match="not empty"):
+        repose.run(other, tmp_path / "run", progress=False)
+    assert repose.run(other, tmp_path / "run", force=True, progress=False).summary["sim_time"] == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("name", preset_names())
+def test_a_scene_written_as_toml_is_the_same_scene(tmp_path, name):
+    scene = repose.load_scene(name)
+    (tmp_path / "scene.toml").write_text(to_toml(scene))
+    assert repose.load_scene(tmp_path / "scene.toml") == scene
+
+
+def test_a_solver_stepped_by_hand_meets_a_run(result):
+    """Positions after 0.4 s, to single precision, in which snapshots are kept."""
+    solver = repose.Solver(result.scene)
+    solver.advance_to(0.2)
+    middle = solver.state()
+    solver.advance_to(0.4)
+    assert solver.time == pytest.approx(0.4)
+    np.testing.assert_allclose(solver.x, result.points, atol=1e-4)
+    end = solver.x
+    solver.restore(middle)
+    assert solver.time == pytest.approx(0.2)
+    solver.advance_to(0.4)
+    np.testing.assert_array_equal(solver.x, end)
+
+
+def test_a_solver_refuses_what_a_run_would():
+    with pytest.raises(repose.SceneError, match="Courant"):
+        repose.Solver(repose.load_scene("column_small", explicit={"time_step": 1.0}))
+
+
+def test_the_implicit_solver_steps_in_pseudo_time():
+    pytest.importorskip("petsc4py", reason="petsc4py is not installed (see ./repose info)")
+    solver = repose.Solver(repose.load_scene("column_small", grid={"cell": 0.25}), mode="implicit")
+    solver.advance_to(0.1)
+    assert solver.time >= 0.1
+    assert solver.arrays["theta"].shape == (len(solver.x),)
+
+
+def test_a_comparison_has_its_page_and_its_runs():
+    pytest.importorskip("petsc4py", reason="petsc4py is not installed (see ./repose info)")
+    found = repose.compare(repose.load_scene("column_small", grid={"cell": 0.25}))
+    assert "<html" in found.page.read_text(encoding="utf-8")
+    assert {"implicit", "explicit, D = 0.4"} <= found.runs.keys()
+    assert found.verdict in repr(found)
+
+
+def test_importing_repose_imports_no_numerics():
+    """Figures, arrays and Warp take a second."""
+    heavy = "{'numpy', 'warp', 'matplotlib', 'h5py', 'scipy', 'pydantic', 'dolfinx'}"
+    code = f"import sys, repose; print(sorted({heavy} & sys.modules.keys()))"
+    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"
