@@ -1,12 +1,13 @@
 """Runs of the implicit solver: a history row a step, rest judged by the balance of forces and the front."""
 
+import math
 import time
 from dataclasses import asdict
 
 import numpy as np
 
 from implicit._dolfinx import libraries
-from implicit.pseudo_time import Regularisation, Rest
+from implicit.pseudo_time import REST_UNBALANCED, Regularisation, Rest
 from implicit.solver import ImplicitSolver
 from mpm.body import Body, build
 from mpm.devices import start_warp
@@ -74,6 +75,7 @@ class ImplicitRun(Run):
         super().__init__(body, results, solver)
         self.rest = Rest(body.time_scale)
         self.max_steps = body.scene.implicit.max_steps
+        self.most_unbalanced = 0.0
 
     @property
     def x(self) -> np.ndarray:
@@ -82,8 +84,11 @@ class ImplicitRun(Run):
 
     @property
     def progress(self) -> tuple[float, float]:
-        """Steps so far and at most; rest usually comes earlier."""
-        return self.solver.steps, self.max_steps
+        """How far what is out of balance has fallen on its way to that of rest, of 1: in logarithms, in which it falls
+        evenly; or the share of `max_steps`, where that is more."""
+        now, most = min(self.solver.unbalanced_ratio, self.most_unbalanced), self.most_unbalanced
+        fallen = math.log(most / now) / math.log(most / REST_UNBALANCED) if most > REST_UNBALANCED else 0.0
+        return min(max(fallen, self.solver.steps / self.max_steps), 1.0), 1.0
 
     def first_row(self):
         """The history row before any step."""
@@ -110,6 +115,8 @@ class ImplicitRun(Run):
         row = {"time": solver.time, "step": solver.steps, "dt": solver.time_step}
         row |= front(self.x, self.body.measure)
         row |= {"unbalanced": solver.unbalanced_ratio, "newton": newton, "failed": failed}
+        if np.isfinite(solver.unbalanced_ratio):
+            self.most_unbalanced = max(self.most_unbalanced, solver.unbalanced_ratio)
         row["volume_ratio"] = float(solver.material_points.jacobian.numpy().mean())
         self.add_row(row)
         if wrong := self.misplaced(self.x, row["volume_ratio"]):
@@ -134,6 +141,8 @@ class ImplicitRun(Run):
         """Take over a checkpoint, and drop outputs written after it."""
         super().restore(state)
         self.rest.recent = [tuple(row) for row in state["recent"]]
+        unbalanced = self.results.history()["unbalanced"]
+        self.most_unbalanced = float(max(unbalanced[np.isfinite(unbalanced)], default=0.0))
 
     def state_is_whole(self, _error: NumericalError) -> bool:
         """Points move only once Newton has succeeded; where they ended may be no result."""

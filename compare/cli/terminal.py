@@ -11,7 +11,7 @@ BATCH_PLAIN_EVERY = 60.0  # likewise of a study, whose runs say more in their lo
 # How far a run is, in the unit of its `progress`.
 PROGRESS = {
     "explicit": "t = {task.completed:.2f} of at most {task.total:.3g} s",
-    "implicit": "step {task.completed:.0f} of at most {task.total:.0f}",
+    "implicit": "{task.percentage:.0f} % of the way to rest",
 }
 
 # No markup: "[s]" is a unit here, and a path may hold brackets; no emoji: nor is ":s:" one.
@@ -81,7 +81,7 @@ class Monitor:
             self.last_line = time.monotonic()
             so_far = f"t = {row['time']:.3f} s of at most {whole:.3g} s, step {row['step']}"
             if run.mode == "implicit":
-                so_far = f"step {row['step']} of at most {whole}, pseudo-time {row['time']:.3f} s"
+                so_far = f"step {row['step']} of at most {run.max_steps}, about {done:.0%} of the way to rest"
             front = f"run-out {row['R_995']:.3f} (99.5 % of mass), {row['R_max']:.3f} (farthest)"
             out.print(f"{so_far}, {front}{unbalanced}")
 

@@ -2,11 +2,13 @@
 
 import importlib.util
 import signal
+from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
 
+from mpm.body import build
 from mpm.errors import NumericalError, SceneError
 from mpm.load import load_scene, parse_scene
 from mpm.results import Results
@@ -18,8 +20,8 @@ if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc
 from implicit import solver
 from implicit._dolfinx import dolfinx
 from implicit.newton import Outcome
-from implicit.pseudo_time import Regularisation
-from implicit.run import resume, run
+from implicit.pseudo_time import REST_UNBALANCED, Regularisation
+from implicit.run import ImplicitRun, resume, run
 
 COARSE = ["grid.cell=0.25", "output.every=0.2"]
 FIELDS = ["displacement", "velocity", "stress", "eps_p_eqv", "pressure", "volume", "volume_ratio", "friction_mobilised"]
@@ -235,3 +237,15 @@ def test_a_slender_beam_comes_to_rest_under_its_own_weight(tmp_path, cell, softe
     bent = load * x**2 * (6 * length**2 - 4 * length * x + x**2) / (24 * young * height**4 / 12)
     sheared = load * (length * x - x**2 / 2) / (5 / 6 * young / (2 * (1 + poisson)) * height**2)
     assert 1.0 < sunk / (bent + sheared) < 1.0 + softer
+
+
+def test_progress_is_how_far_the_forces_have_come_to_balance():
+    """Half of the way to rest, in logarithms, when 10 of 100 times what rest allows are left."""
+    state = SimpleNamespace(unbalanced_ratio=10 * REST_UNBALANCED, steps=5)
+    this = ImplicitRun(build(column("implicit.max_steps=1000")), None, state)
+    this.most_unbalanced = 100 * REST_UNBALANCED
+    assert this.progress == (pytest.approx(0.5), 1.0)
+    state.unbalanced_ratio = 0.1 * REST_UNBALANCED  # balanced, but the front still moves
+    assert this.progress == (1.0, 1.0)
+    state.unbalanced_ratio, state.steps = 10 * REST_UNBALANCED, 800
+    assert this.progress == (0.8, 1.0)
