@@ -4,15 +4,16 @@ Each function draws into a matplotlib Figure of its own (no pyplot, so nothing g
 """
 
 import numpy as np
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from mpl_toolkits.mplot3d import proj3d
+from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from compare.metrics import axis_of, half_length, highest, profile
+from compare.metrics import axis_of, half_length, highest
 from compare.plots.style import (
     BLACK,
     BLUE,
-    DPI,
     EQ4_LABEL,
     GREEN,
     ORANGE,
@@ -26,25 +27,31 @@ from compare.plots.style import (
     new_figure,
     styled,
     tan_theta,
+    title_of,
 )
+from compare.plots.surface import deposit_surface
 from implicit.pseudo_time import REST_UNBALANCED
 from mpm.errors import SceneError
 from mpm.results import Results
 from mpm.theory import eq4, has_eq4, quasistatic_profile
 
+NO_TICKS = 0.15  # of the longest axis' length: numbers on one that is shorter would overlap
+EDGES = (0.0, 0.0, 0.0, 0.25)
 # Column, label, colour, line style.
 RUN_OUTS = (
     ("R_max", "farthest point", ORANGE, "-"),
     ("R_995", "99.5 % of the mass", BLUE, "-"),
     ("R_connected", "connected to the axis", GREEN, "--"),  # often the farthest point itself
 )
-ENERGIES = (
+SUPPLIED_AND_SPENT = (
     ("W_ext", "work of gravity", BLACK, "-"),
+    ("W_plastic", "plastic dissipation", BLUE, "-"),
+    ("W_damping", "damping", PURPLE, "-"),
+)
+HELD = (
     ("KE_points", "kinetic, points", ORANGE, "-"),
     ("KE_grid", "kinetic, grid", SKY, "-"),
     ("E_elastic", "elastic", GREEN, "-"),
-    ("W_plastic", "plastic dissipation", BLUE, "-"),
-    ("W_damping", "damping", PURPLE, "-"),
     ("residual", "residual", RED, ":"),
 )
 
@@ -63,13 +70,13 @@ def plot_morphology(results: Results) -> Figure:
     with styled():
         figure = new_figure(11.0, 4.6)
         view = figure.add_axes((0.0, 0.05, 0.5, 0.92), projection="3d", computed_zorder=False)
-        section = figure.add_axes((0.58, 0.13, 0.31, 0.74), anchor="W")
+        section = figure.add_axes((0.57, 0.13, 0.30, 0.74), anchor="W")
         _draw_view(view, x, x0, values, cell, half, colours)
         points = draw_section(section, x, x0, values, cell, half, colours, axis_of(results))
-        scale = figure.add_axes((0.925, 0.13, 0.014, 0.74))
+        scale = figure.add_axes((0.905, 0.13, 0.014, 0.74))
         figure.colorbar(points, cax=scale, label=label, extend="max")
         scale.grid(False)
-        figure.text(0.02, 0.95, f"{results.scene['name']}, t = {last['time']:.3g} s", weight="bold")
+        figure.text(0.02, 0.95, title_of(results, last["time"]), weight="bold")
         return figure
 
 
@@ -81,10 +88,8 @@ def plot_profile(results: Results) -> Figure:
     scene, last = results.scene, last_snapshot(results)
     if scene["geometry"]["shape"] != "column":
         raise SceneError(f"{results.directory}: only a column has a radial profile")
-    deposit = profile(last["x"], scene)
-    edges = deposit.edges
     top = highest(last["x"], scene)
-    middles = (np.arange(len(top)) + 0.5) * scene["grid"]["cell"]
+    edges = np.arange(len(top) + 1) * scene["grid"]["cell"]
     radius = scene["geometry"]["radius"]
     height = radius * scene["geometry"]["aspect_ratio"]
     fine = np.linspace(0.0, edges[-1], 600)
@@ -96,11 +101,10 @@ def plot_profile(results: Results) -> Figure:
             solid = radius * quasistatic_profile(height / radius, tan_theta(scene), fine / radius)
             axes.fill_between(fine, solid, color=BLACK, alpha=0.08, linewidth=0)
             axes.plot(fine, solid, color=BLACK, label=EQ4_LABEL)
-        axes.plot(middles, top, "o", color=ORANGE, markersize=4, label="highest point in the ring")
-        mean_label = "mean thickness (initial volume / ring area)"
-        axes.stairs(deposit.thickness, edges, baseline=None, color=BLUE, linewidth=1.6, label=mean_label)
+        middles = (edges[1:] + edges[:-1]) / 2
+        axes.plot(middles, top, "o-", color=BLUE, markersize=3, label="top of the deposit, rings one cell wide")
         axes.set(xlim=(0, edges[-1]), ylim=(0, None), xlabel="radius r [m]", ylabel="height [m]")
-        axes.set_title(f"{scene['name']}, t = {last['time']:.3g} s", loc="left", weight="bold")
+        axes.set_title(title_of(results, last["time"]), loc="left", weight="bold")
         axes.legend(frameon=False)
         return figure
 
@@ -115,47 +119,67 @@ def plot_history(results: Results) -> Figure:
         raise SceneError(f"{results.directory} has no history to plot")
     with styled():
         figure = new_figure(11.0, 4.4)
-        run_out = figure.add_axes((0.065, 0.14, 0.37, 0.76))
-        beside = figure.add_axes((0.52, 0.14, 0.30, 0.76))
+        run_out = figure.add_axes((0.08, 0.14, 0.355, 0.74))
         _draw_columns(run_out, history, RUN_OUTS)
         if has_eq4(scene):
             limit = eq4(scene["geometry"]["aspect_ratio"], tan_theta(scene))
             run_out.axhline(limit, color=BLACK, linestyle="--", label=EQ4_LABEL)
         if "unbalanced" in history:
-            _draw_balance(beside, history)
+            lowest = figure.add_axes((0.52, 0.14, 0.30, 0.74))
+            _draw_balance(lowest, history)
             time = "pseudo-time [s]"
         else:
-            _draw_columns(beside, history, ENERGIES)
-            beside.set(ylabel="energy [J]")
-            beside.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
-            time = "time [s]"
-        beside.set(xlabel=time)
+            lowest, time = _draw_energies(figure, history), "time [s]"
+        lowest.set(xlabel=time)
         run_out.set(xlabel=time, ylabel="run-out $(r - r_0)/r_0$ [-]")
-        run_out.set_title(scene["name"], loc="left", weight="bold")
+        figure.text(0.08, 0.94, title_of(results), weight="bold")
         run_out.legend(frameon=False)
         return figure
 
 
+def _draw_energies(figure, history):
+    """What gravity supplies and where it goes; below, on a scale of its own, what is held and what is missed. The lower
+    axes."""
+    upper, lower = figure.add_axes((0.52, 0.55, 0.27, 0.33)), figure.add_axes((0.52, 0.14, 0.27, 0.33))
+    for axes, columns in ((upper, SUPPLIED_AND_SPENT), (lower, HELD)):
+        _draw_columns(axes, history, columns)
+        axes.set(ylabel="energy [J]")
+        axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    upper.tick_params(labelbottom=False)
+    return lower
+
+
 def _draw_view(axes, x, x0, values, cell, half, colours):
-    """The deposit's surface as points sorted by depth, over the translucent initial shell."""
-    # All but the outer points are hidden, and 200,000 markers are slow: draw those of surface cells only.
-    shown = _on_surface(x, cell)
+    """The deposit's surface within the translucent initial shell."""
     both = np.concatenate([x, x0])
     low, high = both.min(axis=0) - half, both.max(axis=0) + half
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(low[2], high[2]))
     axes.set_box_aspect(high - low, zoom=0.88)
     axes.view_init(elev=22, azim=-60)
-    size = _spacing_in_points(axes, (low + high) / 2, 2 * half)
     _draw_shell(axes, x0, half)
+    faces, behind = deposit_surface(x, values, cell, half)
+    shade = ScalarMappable(Normalize(colours["vmin"], colours["vmax"]), colours["cmap"]).to_rgba(behind)
     # Above the shell: where the deposit is inside it the colours keep their meaning.
-    points = x[shown]
-    axes.scatter(*points.T, c=values[shown], s=(1.3 * size) ** 2, depthshade=False, zorder=2, **colours)
-    axes.locator_params(nbins=4)
-    # The x axis ends where the y axis starts: without y's first tick their numbers stay apart.
-    axes.set_yticks([tick for tick in axes.get_yticks() if low[1] + 0.1 * (high - low)[1] < tick < high[1]])
-    axes.set_xlabel("x [m]", labelpad=8)
-    axes.set_ylabel("y [m]", labelpad=8)
-    axes.set_zlabel("z [m]", labelpad=8)
+    axes.add_collection3d(Poly3DCollection(faces, facecolors=shade, edgecolors=EDGES, linewidths=0.3, zorder=2))
+    length = (high - low) / (high - low).max()
+    if max(length[:2]) < NO_TICKS:  # the axis' numbers would lie behind the body; the section has them
+        length[2] = 0.0
+    for axis, name, share in zip((axes.xaxis, axes.yaxis, axes.zaxis), "xyz", length, strict=True):
+        _few_ticks(axis, name, share)
+    # The x axis ends where the y axis starts, and y ends where z starts: their numbers stay apart.
+    margin = 0.1 * (high - low)[1]
+    axes.set_yticks([tick for tick in axes.get_yticks() if low[1] + margin < tick < high[1] - margin])
+
+
+def _few_ticks(axis, name, share):
+    """Ticks and a label of an axis that is `share` of the longest one long: as many as there is room for."""
+    if share < NO_TICKS:
+        axis.set_ticks([])
+        axis.set_label_text("")
+        return
+    axis.set_major_locator(MaxNLocator(nbins=max(int(4 * share), 1)))
+    axis.set_label_text(f"{name} [m]")
+    axis.labelpad = 14
 
 
 def _draw_shell(axes, x0, half):
@@ -193,23 +217,3 @@ def _draw_balance(axes, history):
     lines = [*axes.lines, *counts.lines]
     labels = [line.get_label() for line in lines]
     axes.legend(lines, labels, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, columnspacing=1.0)
-
-
-def _on_surface(x, cell):
-    """Whether each point lies in a cell with an empty face neighbour, shape [n]."""
-    index = np.floor(x / cell).astype(np.int64)
-    index -= index.min(axis=0) - 1  # one empty layer around, so that neighbours never wrap
-    shape = index.max(axis=0) + 2
-    strides = np.array([shape[1] * shape[2], shape[2], 1])
-    key = index @ strides
-    occupied = np.unique(key)
-    return ~np.all([np.isin(key + step, occupied) for step in (*strides, *-strides)], axis=0)
-
-
-def _spacing_in_points(axes, centre, length):
-    """How long `length` [m] at `centre` is on a 3D view's paper, in points (1/72 inch)."""
-    # Along an axis seen at a slant it shrinks: the largest of the three is the true scale.
-    ends = np.vstack([centre, centre + length * np.eye(3)])
-    flat = np.column_stack(proj3d.proj_transform(*ends.T, axes.get_proj())[:2])
-    pixels = axes.transData.transform(flat)
-    return np.linalg.norm(pixels[1:] - pixels[0], axis=1).max() * 72 / DPI

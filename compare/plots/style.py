@@ -21,6 +21,7 @@ STYLE = {
     "lines.linewidth": 1.6,
 }
 DPI = 150
+NARROW = 0.6  # inches of an axis that a number takes
 # Okabe and Ito's colours, told apart with every common colour blindness.
 BLACK, ORANGE, SKY, GREEN = "#000000", "#E69F00", "#56B4E9", "#009E73"
 BLUE, RED, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
@@ -48,6 +49,17 @@ def save(figure, path) -> Path:
 def tan_theta(scene) -> float:
     """Eq. 4's slope [-]: the angle of repose is taken to be the friction angle."""
     return np.tan(np.radians(scene["material"]["friction_angle"]))
+
+
+def title_of(results, at: float | None = None) -> str:
+    """What a picture of a run is headed by: scene, solver, damping, resolution and the time `at` [s] it shows."""
+    scene, mode = results.scene, results.provenance.get("mode", "explicit")
+    how = "quasistatic" if mode == "implicit" else f"D = {scene['explicit']['damping']:g}"
+    cell = scene["grid"]["cell"]
+    is_column = scene["geometry"]["shape"] == "column"
+    size = f"{scene['geometry']['radius'] / cell:.3g} cells per r0" if is_column else f"cell {cell:.3g} m"
+    time = "" if at is None else f", {'pseudo-time' if mode == 'implicit' else 't ='} {at:.3g} s"
+    return f"{scene['name']}: {mode}, {how}, {size}{time}"
 
 
 def last_snapshot(results) -> dict:
@@ -80,6 +92,11 @@ def draw_section(axes, x, x0, values, cell, half, colours, axis):
     axes.update_datalim(x[:, [0, 2]])
     axes.autoscale_view()
     axes.apply_aspect()
+    width = axes.get_position().width * axes.figure.get_figwidth()
+    if width < NARROW:
+        axes.set_xticks([axes.get_xlim()[1]], [f"{axes.get_xlim()[1]:.3g}"])
+    else:
+        axes.locator_params(axis="x", nbins=int(width / NARROW) + 1)
     scale = axes.transData.transform([[0, 0], [2 * half, 0]])
     size = (scale[1, 0] - scale[0, 0]) * 72 / DPI
     points = axes.scatter(x[:, 0], x[:, 2], c=values, s=(1.2 * size) ** 2, marker="s", zorder=2, **colours)
