@@ -25,6 +25,15 @@ def preset_names() -> list[str]:
     return sorted(item.name.removesuffix(".toml") for item in folder.iterdir() if item.name.endswith(".toml"))
 
 
+def preset_file(name: str, wanted: str = "preset") -> Path:
+    """File of a preset. Raises SceneError, with the nearest name, where there is none: no such `wanted`."""
+    if name not in preset_names():
+        near = difflib.get_close_matches(name, preset_names(), n=1)
+        hint = f"; did you mean '{near[0]}'?" if near else ""
+        raise SceneError(f"scene '{name}': no such {wanted}{hint} (`{command('scenes')}` lists them)")
+    return Path(str(resources.files("mpm") / "presets" / f"{name}.toml"))
+
+
 def read_scene_file(reference: str) -> tuple[dict, Path]:
     """Raw TOML table of a file or a preset's name, and the folder that relative paths start from.
 
@@ -32,11 +41,7 @@ def read_scene_file(reference: str) -> tuple[dict, Path]:
     """
     path = Path(reference)
     if not os.path.isfile(path):  # Path.is_file raises on a name that is too long
-        if reference not in preset_names():
-            near = difflib.get_close_matches(reference, preset_names(), n=1)
-            hint = f"; did you mean '{near[0]}'?" if near else ""
-            raise SceneError(f"scene '{reference}': no such file or preset{hint} (`{command('scenes')}` lists them)")
-        path = Path(str(resources.files("mpm") / "presets" / f"{reference}.toml"))
+        path = preset_file(reference, "file or preset")
     try:
         # -sig: some Windows editors put a byte-order mark first
         return tomllib.loads(path.read_text(encoding="utf-8-sig")), path.resolve().parent

@@ -4,6 +4,7 @@ import itertools
 import shlex
 import sys
 from enum import StrEnum
+from importlib import metadata
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +20,7 @@ from mpm.errors import INTERRUPTED, NumericalError, SceneError
 
 app = typer.Typer(
     help="Granular column collapse: one scene file, explicit and implicit MPM, compared with theory.",
+    epilog="`./repose test` runs the tests; what follows it goes to pytest.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -44,13 +46,38 @@ DEMO = ("column_small", [])  # scene and settings
 study = typer.Typer(help="Many runs and a report of them; what is finished is kept.", no_args_is_help=True)
 app.add_typer(study, name="study")
 
-SceneArg = Annotated[str, typer.Argument(metavar="SCENE", help="scene file (TOML) or a preset's name")]
+
+def _presets(typed: str) -> list[str]:
+    """The presets whose names start with `typed`, for the shell to complete; it completes files itself."""
+    from mpm.load import preset_names
+
+    return [name for name in preset_names() if name.startswith(typed)]
+
+
+SceneArg = Annotated[
+    str, typer.Argument(metavar="SCENE", help="scene file (TOML) or a preset's name", autocompletion=_presets)
+]
 SetOption = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="override a scene key")]
 DeviceOption = Annotated[str, typer.Option(help="cpu or cuda:0, cuda:1, ...")]
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR")]
 AgainOption = Annotated[bool, typer.Option("--force", help="run again what is there, replace another report in DIR")]
 JobsOption = Annotated[int, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
 DirArg = Annotated[Path, typer.Argument(metavar="DIR", help="folder of a run")]
+
+
+def _say_version(asked: bool):
+    if asked:
+        out.print(f"repose {metadata.version('repose')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="say the version and stop")
+    ] = False,
+):
+    """What every command takes."""
 
 
 @app.command()
@@ -233,13 +260,20 @@ def validate(
 
 
 @app.command()
-def scenes():
+def scenes(
+    show: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="print the file of one of them, to start from", autocompletion=_presets),
+    ] = None,
+):
     """List the scenes that come with Repose."""
-    from mpm.load import preset_names, read_scene_file
+    from mpm.load import preset_file, preset_names
 
+    if show is not None:
+        print(preset_file(show).read_text(encoding="utf-8"), end="")  # as it is: rich would wrap and colour it
+        return
     for name in preset_names():
-        _, folder = read_scene_file(name)
-        lines = (folder / f"{name}.toml").read_text(encoding="utf-8").splitlines()
+        lines = preset_file(name).read_text(encoding="utf-8").splitlines()
         heading = itertools.takewhile(lambda line: line.startswith("#"), lines)
         out.print(f"{name:14} {' '.join(line.lstrip('# ') for line in heading)}")
 
@@ -381,7 +415,7 @@ def main():
     """Entry point. Exit codes: 0 done, 1 disk or memory failed, 2 bad input, 3 numerical failure, 130 Ctrl-C."""
     try:
         announce_compilation()
-        app()
+        app(prog_name="repose")  # however it was started: the shell completes that name
     except SceneError as error:
         for problem in error.problems:
             err.print(f"error: {problem}", style="red")

@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+from importlib import metadata
 from typing import NamedTuple
 from xml.etree import ElementTree
 
@@ -206,6 +207,37 @@ def test_scenes_lists_every_preset_in_a_line(repose):
     assert "lambda0 = 4" in next(line for line in lines if line.startswith("column_4"))
 
 
+def test_a_scene_that_is_shown_is_the_preset_s_file(repose, refused, tmp_path):
+    """Printed into a file it is a scene to start from, whatever else of that name lies in the folder."""
+    (tmp_path / "column_small").write_text("not a scene")
+    answer = repose("scenes", "--show", "column_small")
+    assert (answer.code, answer.err) == (0, "")
+    (tmp_path / "mine.toml").write_text(answer.out)
+    (tmp_path / "column_small").unlink()
+    assert load_scene("mine.toml") == load_scene("column_small")
+    assert answer.out.startswith("# A small column for a first look")
+    message = refused("scenes", "--show", "column_smal")
+    assert message.startswith("error: scene 'column_smal': no such preset; did you mean 'column_small'?")
+    assert "no such preset" in refused("scenes", "--show", "mine.toml")
+
+
+@pytest.mark.parametrize("before", ["run", "validate", "compare", "study error", "scenes --show"])
+def test_the_shell_completes_names_of_presets(repose, monkeypatch, before):
+    """Of files, as `my.to`, nothing is said: a shell completes them itself."""
+    monkeypatch.setenv("_REPOSE_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_CWORD", str(1 + len(before.split())))
+    for typed, names in (("", preset_names()), ("column_s", ["column_small"]), ("my.to", [])):
+        monkeypatch.setenv("COMP_WORDS", f"repose {before} {typed}")
+        answer = repose()
+        assert (answer.code, answer.out.split()) == (0, names)
+
+
+def test_version_is_that_of_the_package(repose):
+    answer = repose("--version")
+    assert (answer.code, answer.err) == (0, "")
+    assert answer.out == f"repose {metadata.version('repose')}\n"
+
+
 def test_info_lists_versions_and_devices(repose):
     answer = repose("info")
     assert (answer.code, answer.err) == (0, "")
@@ -325,6 +357,7 @@ def test_help_names_every_command(repose):
     assert answer.code == 0
     for command in ("run", "resume", "plot", "validate", "scenes", "info", "demo"):
         assert re.search(rf"\b{command}\b", answer.out)
+    assert "./repose test" in answer.out  # which the script of that name answers itself
 
 
 # Exit code 2: the input is wrong
