@@ -1,5 +1,6 @@
 """What every picture shares: style, colours, figures without pyplot, what a scene's points are coloured by."""
 
+import io
 from pathlib import Path
 
 import numpy as np
@@ -33,9 +34,19 @@ def styled():
     return rc_context(STYLE)
 
 
+class ShownFigure(Figure):
+    """A Figure that a notebook shows, as it shows those of pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        """What IPython asks of an object that it is to show."""
+        png = io.BytesIO()
+        self.savefig(png)
+        return png.getvalue()
+
+
 def new_figure(width, height):
     """A figure of that size in inches, drawn by Agg, at the resolution it is saved in."""
-    figure = Figure(figsize=(width, height), dpi=DPI)
+    figure = ShownFigure(figsize=(width, height), dpi=DPI)
     FigureCanvasAgg(figure)
     return figure
 
