@@ -10,13 +10,13 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 from compare.batch import ONE_THREAD
-from compare.hard import clay, collapse, faults, interrupted, law, rest, transfer
+from compare.hard import clay, collapse, law, rest, transfer
 from compare.hard.case import CASES, Case, judge
 from compare.report.page import refuse_another, write_table
 from compare.report.sections import check, verdict
 from mpm.provenance import code_version, provenance
 
-MODULES = (transfer, law, rest, collapse, clay, faults, interrupted)  # importing them registers their cases
+MODULES = (transfer, law, rest, collapse, clay)  # importing them registers their cases
 COLUMNS = ("case", "what", "solver", "outcome", "value", "limit", "reason", "note", "seconds")
 LONGEST = 3600.0  # [s] of one case, after which it counts as hung
 

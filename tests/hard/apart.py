@@ -1,6 +1,6 @@
 """A small run in a process of its own, disturbed in the middle, and what it leaves for `resume`.
 
-What may crash runs in a process forked for it, so that a crash is a finding and ends nothing else.
+What may crash runs in a process forked for it, so that a crash fails its test and ends nothing else.
 """
 
 import functools
@@ -8,26 +8,30 @@ import os
 import pickle
 import signal
 import tempfile
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pytest
+from findings import HAS_IMPLICIT
 
 from compare.solvers import runs_of
 from mpm.errors import NumericalError, SceneError
 from mpm.load import load_scene
 from mpm.results import Results
 
-MODES = ("explicit", "implicit")
 SCENE = "column_small"
 SETTINGS = ("grid.cell=0.25", "explicit.until=0.3", "implicit.max_steps=8", "output.every=0.1", "output.vtk=false")
 WHEN = 0.15  # [s] after which a fault strikes: behind it lies a checkpoint of the collapse
 OWN = {"wall_before", "nodes_stored_max"}  # of a process and what it stored, no part of the state
 
+_no_implicit = pytest.mark.skipif(not HAS_IMPLICIT, reason="dolfinx or petsc4py is not installed (see ./repose info)")
+IMPLICIT = pytest.param("implicit", marks=_no_implicit)
+each_mode = pytest.mark.parametrize("mode", ["explicit", IMPLICIT])
+
 
 @dataclass(frozen=True)
-class Outcome:
+class Ending:
     """How a call ended that ran in a process of its own: "returned", "raised" or "killed"; what a user reads of it."""
 
     how: str
@@ -35,7 +39,7 @@ class Outcome:
     code: int = 0
 
 
-def apart(call) -> Outcome:
+def apart(call) -> Ending:
     """Run `call()` in a forked process."""
     receiver, sender = os.pipe()
     child = os.fork()
@@ -46,21 +50,21 @@ def apart(call) -> Outcome:
             signal.signal(number, signal.SIG_DFL)
         try:
             call()
-            outcome = Outcome("returned", "")
+            ending = Ending("returned", "")
         except BaseException as error:
             named = isinstance(error, SceneError | NumericalError)
             text = str(error) if named or isinstance(error, OSError) else f"{type(error).__name__}: {error}"
             code = error.exit_code if named else 1
-            outcome = Outcome("raised", text, code)
+            ending = Ending("raised", text, code)
         with os.fdopen(sender, "wb") as pipe:
-            pickle.dump(outcome, pipe)
+            pickle.dump(ending, pipe)
         os._exit(0)
     os.close(sender)
     with os.fdopen(receiver, "rb") as pipe:
         told = pipe.read()
     _, status = os.waitpid(child, 0)
     if os.WIFSIGNALED(status):
-        return Outcome("killed", signal.Signals(os.WTERMSIG(status)).name, -os.WTERMSIG(status))
+        return Ending("killed", signal.Signals(os.WTERMSIG(status)).name, -os.WTERMSIG(status))
     return pickle.loads(told)
 
 
@@ -86,19 +90,12 @@ def start(mode: str, folder: Path, act=None, more=()):
     runs_of(mode).run(load_scene(SCENE, [*SETTINGS, *more]), folder, monitor=Striker(act) if act else None)
 
 
-@contextmanager
-def scratch():
-    """A folder's name, for a run."""
-    with tempfile.TemporaryDirectory() as above:
-        yield Path(above) / "run"
-
-
 @functools.cache
 def undisturbed(mode: str) -> dict:
-    """What a run leaves that nothing disturbs."""
-    with scratch() as folder:
-        start(mode, folder)
-        return left_in(folder)
+    """What a run leaves that nothing disturbs. Call it before a fork: the child then has its kernels loaded."""
+    with tempfile.TemporaryDirectory() as above:
+        start(mode, Path(above) / "run")
+        return left_in(Path(above) / "run")
 
 
 def left_in(folder: Path) -> dict:
@@ -108,27 +105,17 @@ def left_in(folder: Path) -> dict:
     return results.read_checkpoint() | history | {"times of snapshots": results.times}
 
 
-def not_resumed(mode: str, folder: Path) -> str:
-    """What is wrong with the run in `folder` once it was resumed to its end; "" where nothing is."""
-    try:
-        saved = Results.open(folder).read_checkpoint()
-    except SceneError as error:
-        return f"no checkpoint: {error}"
-    if spoilt := [name for name, value in saved.items() if not finite(value)]:
-        return f"the checkpoint holds what is not finite: {', '.join(spoilt)}"
-    outcome = apart(lambda: runs_of(mode).resume(folder))
-    if outcome.how != "returned":
-        return f"resume: {outcome.said}"
+def assert_resumes_as_undisturbed(mode: str, folder: Path):
+    """The checkpoint in `folder` is whole, and the run resumed from it ends as if undisturbed, to the bit."""
+    for name, value in Results.open(folder).read_checkpoint().items():
+        assert finite(value), f"{name} in the checkpoint is not finite"
+    ending = apart(lambda: runs_of(mode).resume(folder))
+    assert ending.how == "returned", ending.said
     ended, wanted = left_in(folder), undisturbed(mode)
-    other = [name for name in wanted if name not in OWN and not np.array_equal(ended[name], wanted[name])]
-    return f"resumed, it ends otherwise: {', '.join(other)}" if other else ""
+    for name in wanted.keys() - OWN:
+        np.testing.assert_array_equal(ended[name], wanted[name], err_msg=name)
 
 
 def finite(value) -> bool:
     """Whether a value of the state holds no NaN or infinity."""
     return not isinstance(value, np.ndarray | float) or bool(np.isfinite(value).all())
-
-
-def one_line(text: str, folder: Path) -> str:
-    """What a run said, in a line that does not name its folder."""
-    return "; ".join(text.replace(str(folder), "DIR").splitlines())
