@@ -13,14 +13,13 @@ from mpm.precheck import refuse
 from mpm.provenance import code_version, provenance
 from mpm.results import Results
 from mpm.run import Run, body_of, reopen
-from mpm.runout import front
+from mpm.runout import REST_WINDOW, front
 from mpm.scene import Scene
 
 # Grid kinetic energy below which the body may be at rest: over its peak, or over the energy of the fall M g h0, so that
 # what stands is at rest at once.
 REST_KE, REST_KE_OF_FALL = 1e-4, 1e-6
-REST_DRIFT = 1e-3  # relative advance of the front (R_995) over 2 sqrt(h0/g), likewise
-REST_WINDOW = 2.0  # in sqrt(h0/g)
+REST_DRIFT = 1e-3  # relative advance of the front (R_995) over REST_WINDOW, likewise
 MAX_TIME = 60.0  # default end, in units of sqrt(h0/g), of a run that never comes to rest
 HISTORY_ROWS = 20  # default history rows per sqrt(h0/g)
 ENERGY_GROWTH = 1.5  # kinetic energy over all energy ever supplied, above which the step is unstable

@@ -7,7 +7,7 @@ the points reach. Three nodes of one pencil are neighbours in memory, and findin
 import numpy as np
 import warp as wp
 
-from explicit.kernels.sparse_grid import EMPTY, MARGIN, REACH, sparse_grid_kernels
+from explicit.kernels.sparse_grid import EMPTY, LAST, MARGIN, sparse_grid_kernels
 
 WINDOW_SLACK = 8  # cells by which the plan window grows beyond need, so that it seldom has to
 CAPACITY_SLACK = 1.2  # likewise for the node arrays
@@ -63,7 +63,7 @@ class SparseGrid:
         self._launch(self.kernels.plan_bounds, x.shape[0], [x, self.real(self.inv_cell), bounds])
         i_min, j_min, i_max, j_max = (int(value) for value in bounds.numpy())
         low_i, low_j = i_min - MARGIN, j_min - MARGIN
-        high_i, high_j = i_max + REACH + MARGIN, j_max + REACH + MARGIN
+        high_i, high_j = i_max + LAST + MARGIN, j_max + LAST + MARGIN
         inside = low_i >= self.i0 and low_j >= self.j0
         if inside and high_i < self.i0 + self.shape[0] and high_j < self.j0 + self.shape[1]:
             return False

@@ -23,7 +23,7 @@ PRECONDITIONERS = ("sor", "ilu", "lu")
 
 
 @dataclass
-class Outcome:
+class NewtonResult:
     """What a Newton solve gave: the increment `u` (count, 3) [m] if `converged`, and what it took.
 
     `residuals`: norm of the residual [N] before the first and after each iteration. `preconditioner`: the last tried.
@@ -86,7 +86,7 @@ class _Context:
         operator.assemble()
 
 
-def solve(system: System, tolerance: float, linear_tolerance: float) -> Outcome:
+def solve(system: System, tolerance: float, linear_tolerance: float) -> NewtonResult:
     """Find the increment at which the residual's norm is below `tolerance` [N], from u = 0.
 
     `linear_tolerance` [-]: relative residual of the linear solves. Not converged where the line search finds no
@@ -127,7 +127,7 @@ def _configure(snes, linear_tolerance):
     snes.setFromOptions()
 
 
-def _solve(snes, context, x, tolerance) -> Outcome:
+def _solve(snes, context, x, tolerance) -> NewtonResult:
     reasons = PETSc.SNES.ConvergedReason
     iterations = linear_iterations = 0
     residuals = []
@@ -155,4 +155,4 @@ def _solve(snes, context, x, tolerance) -> Outcome:
         if iterations >= MOST_ITERATIONS:
             break
     u = x.array.reshape(-1, 3).copy()
-    return Outcome(u, reason > 0, iterations, linear_iterations, residuals, preconditioner)
+    return NewtonResult(u, reason > 0, iterations, linear_iterations, residuals, preconditioner)

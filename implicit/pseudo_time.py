@@ -11,14 +11,14 @@ import math
 from dataclasses import dataclass, replace
 
 from mpm.body import Body
+from mpm.runout import REST_WINDOW
 
 GHOST_FADES = 0.5  # step in sqrt(cell/g) beyond which the ghost penalty falls: what it holds must come down in the end
 # Out-of-balance over external force, below which the body may be at rest. A heap creeps on below it, ever more slowly,
 # as it does in the explicit solver: at 8 cells per r0, lambda0 = 0.5, R_995 = 0.318, 0.331, 0.348, 0.353 at 1e-2, 5e-3,
 # 2e-3, 1e-3. At 5e-3 it moves by less than 0.5 % in 4 sqrt(h0/g).
 REST_UNBALANCED = 5e-3
-REST_WINDOW = 2.0  # pseudo-time in sqrt(h0/g) over which the front's advance is judged
-REST_DRIFT = 1.5e-3  # advance of R_995 over that window, over R_995 or LEAST_RUNOUT, likewise
+REST_DRIFT = 1.5e-3  # advance of R_995 over REST_WINDOW of pseudo-time, over R_995 or LEAST_RUNOUT, likewise
 LEAST_RUNOUT = 0.1  # for what hardly runs out
 REST_STEPS = 3  # steps over which that advance is taken at least: steps may be longer than the window
 FIRST = 0.3  # first step, in sqrt(cell/g)

@@ -8,6 +8,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 QUANTILE = 0.995
+REST_WINDOW = 2.0  # time in sqrt(h0/g) over which the front's advance tells whether a body is at rest
 
 
 @dataclass(frozen=True)

@@ -26,7 +26,7 @@ QUARTER, FIFTH, SIXTH, EIGHTH = (f"grid.cell={1 / cells!r}" for cells in (4, 5, 
 SHORT = "explicit.until=3.19"  # 10 sqrt(h0/g) of the middle column: its front has all but stopped
 SECTORS = 6  # of the full circle, as run-outs of experiments are read in six directions
 
-REACH = "steps of another length move run-outs by 1.5 % either way; twice that in all"
+STEP_LENGTHS = "steps of another length move run-outs by 1.5 % either way; twice that in all"
 
 
 def finish(
@@ -320,7 +320,7 @@ def time_step_damped():
 def _time_step(*scene):
     base = collapse("explicit", *scene)
     for cfl in (0.25, 0.125):
-        yield same(f"cfl = {cfl}", collapse("explicit", *scene, f"explicit.cfl={cfl}"), base, 0.03, REACH)
+        yield same(f"cfl = {cfl}", collapse("explicit", *scene, f"explicit.cfl={cfl}"), base, 0.03, STEP_LENGTHS)
 
 
 @hard_case("time step, implicit")
@@ -331,7 +331,7 @@ def time_step_implicit():
         changed = {name: factor * getattr(base.solver.regularisation, name)}
         run = collapse("implicit", LOW, SIXTH, **changed)
         steps = f"; {run.solver.steps} against {base.solver.steps} steps"
-        yield same(f"{name} x {factor:g}", run, base, 0.03, REACH, steps)
+        yield same(f"{name} x {factor:g}", run, base, 0.03, STEP_LENGTHS, steps)
 
 
 @hard_case("symmetry")

@@ -10,7 +10,7 @@ from mpm.gimp import HALF_LENGTH_IN_CELLS, NODES_PER_AXIS, gimp
 
 MARGIN = 1  # cells that a point may travel before the stored nodes must be found anew
 EMPTY = 2**30
-REACH = NODES_PER_AXIS - 1
+LAST = NODES_PER_AXIS - 1  # node of a stencil along an axis, counted from its first
 
 
 @functools.cache
@@ -19,7 +19,7 @@ def sparse_grid_kernels(real):
     types = layout(real)
     name, vec3 = types.name, types.vec3
     base_node = gimp(real).base
-    margin, empty, reach = wp.constant(MARGIN), wp.constant(EMPTY), wp.constant(REACH)
+    margin, empty, last = wp.constant(MARGIN), wp.constant(EMPTY), wp.constant(LAST)
     half_length = wp.constant(real(HALF_LENGTH_IN_CELLS))
 
     @wp.kernel(module=name)
@@ -74,13 +74,13 @@ def sparse_grid_kernels(real):
         i, j = wp.tid()
         bottom = int(empty)
         top = -int(empty)
-        for a in range(i - reach - margin, i + margin + 1):
-            for b in range(j - reach - margin, j + margin + 1):
+        for a in range(i - last - margin, i + margin + 1):
+            for b in range(j - last - margin, j + margin + 1):
                 if a >= 0 and b >= 0 and a < low.shape[0] and b < low.shape[1]:
                     bottom = wp.min(bottom, low[a, b])
                     top = wp.max(top, high[a, b])
         first[i, j] = bottom - margin
-        count[i, j] = wp.max(top - bottom + 1 + reach + 2 * margin, 0)
+        count[i, j] = wp.max(top - bottom + 1 + last + 2 * margin, 0)
 
     @wp.kernel(module=name)
     def shift_base(first: wp.array2d(dtype=wp.int32), base: wp.array2d(dtype=wp.int32)):
@@ -120,8 +120,8 @@ def sparse_grid_kernels(real):
         if (
             start[0] >= real(i0 - slack)
             and start[1] >= real(j0 - slack)
-            and start[0] < real(i0 + count.shape[0] - reach + slack)
-            and start[1] < real(j0 + count.shape[1] - reach + slack)
+            and start[0] < real(i0 + count.shape[0] - last + slack)
+            and start[1] < real(j0 + count.shape[1] - last + slack)
             and wp.abs(start[2]) < real(empty)
         ):
             if slack > 0:
@@ -129,11 +129,11 @@ def sparse_grid_kernels(real):
             i = base_node(x[p][0], inv_cell) - i0
             j = base_node(x[p][1], inv_cell) - j0
             k = base_node(x[p][2], inv_cell)
-            for a in range(i, i + reach + 1):
-                for b in range(j, j + reach + 1):
-                    if k >= first[a, b] and k + reach < first[a, b] + count[a, b]:
+            for a in range(i, i + last + 1):
+                for b in range(j, j + last + 1):
+                    if k >= first[a, b] and k + last < first[a, b] + count[a, b]:
                         stored += 1
-        if stored < (reach + 1) * (reach + 1):
+        if stored < (last + 1) * (last + 1):
             wp.atomic_max(fault, OFF_GRID, p + 1)
 
     return SimpleNamespace(

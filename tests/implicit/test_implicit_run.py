@@ -19,7 +19,7 @@ if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc
 
 from implicit import solver
 from implicit._dolfinx import dolfinx
-from implicit.newton import Outcome
+from implicit.newton import NewtonResult
 from implicit.pseudo_time import REST_UNBALANCED, Regularisation
 from implicit.run import ImplicitRun, resume, run
 
@@ -149,7 +149,7 @@ def test_where_newton_fails_the_last_good_state_is_saved_and_named(tmp_path, mon
         if len(fails) < 4:
             fails.append(None)
             return real_solve(system, *tolerances)
-        return Outcome(np.zeros((system.count, 3)), False, 25, 100, [1.0, 1.0])
+        return NewtonResult(np.zeros((system.count, 3)), False, 25, 100, [1.0, 1.0])
 
     real_solve = solver.solve
     monkeypatch.setattr(solver, "solve", solve)
