@@ -114,12 +114,11 @@ class Result:
 
     def __init__(self, directory: str | Path, temporary: tempfile.TemporaryDirectory | None = None):
         """Raises SceneError where `directory` holds no run. `temporary`: removed with this object."""
-        from mpm.load import parse_scene
         from mpm.results import Results
 
         self._results, self._temporary = Results.open(directory), temporary
         self.directory = Path(directory)
-        self.scene: Scene = parse_scene(self._results.scene)
+        self.scene: Scene = self._results.scene
 
     def __repr__(self) -> str:
         summary = self.summary
@@ -282,4 +281,4 @@ def _finished(directory: Path, scene: Scene, mode: str, device: str) -> bool:
         return False
     here, made = Results.open(directory), {"mode": mode, "device": device, "code": code_version(mode)}
     same_run = all(here.provenance.get(key) == value for key, value in made.items())
-    return same_run and here.scene == scene.model_dump(mode="json")
+    return same_run and here.scene == scene

@@ -8,7 +8,6 @@ from compare.batch import Job, Outcome, run_all
 from compare.checks import quasistatic_checks
 from compare.metrics import axis_of, deposit, eq4_profile, profile, profile_distance
 from compare.plots.reports import draw_cost, draw_histories, draw_plan_and_section, draw_profiles, strain_limit
-from compare.plots.style import tan_theta
 from compare.report.page import refuse_another, write_table
 from compare.report.sections import (
     WHAT_MEASURES_MEAN,
@@ -27,7 +26,8 @@ from mpm.body import build
 from mpm.errors import SceneError
 from mpm.load import load_scene
 from mpm.runout import front
-from mpm.theory import eq4, has_eq4, outlook, theory
+from mpm.scene import Scene
+from mpm.theory import outlook, theory
 
 DAMPING = 0.4  # of the explicit run: the paper's quasistatic collapse
 COLLAPSED = 0.01  # advance of R_995 above which a body has run out
@@ -67,8 +67,8 @@ def plan(reference: str, settings: list[str], device: str) -> list[Job]:
 def compare_solvers(directory: Path, force, monitor, command: str, reference: str, settings, device: str) -> dict:
     """Run or reuse what `plan` asks for, and draw the figures in `directory`; the report (see `compare.report`)."""
     jobs = plan(reference, settings, device)
-    scene = jobs[0].scene.model_dump(mode="json")
-    about_what = {"study": "compare", "scene": scene, "device": device}
+    scene = jobs[0].scene
+    about_what = {"study": "compare", "scene": scene.model_dump(mode="json"), "device": device}
     refuse_another(directory, about_what, force)
     outcomes = run_all(jobs, directory / "runs", 1, force, monitor)
     labels = [_label(one) for one in outcomes]
@@ -82,7 +82,7 @@ def compare_solvers(directory: Path, force, monitor, command: str, reference: st
         _agreement(outcomes, labels, runs, distances, directory),
         _shape(fine, directory),
         _way_to_rest(fine, directory),
-        _cost(outcomes, labels, scene, directory),
+        _cost(outcomes, labels, directory),
         {"title": "Stability", "text": failures(outcomes, labels), "tables": [stability_table(outcomes, labels)]}
         | {"figures": []},
         scene_section(scene),
@@ -90,12 +90,12 @@ def compare_solvers(directory: Path, force, monitor, command: str, reference: st
         eq6_section(),
     ]
     write_table([dict(zip(runs["columns"], row, strict=True)) for row in runs["rows"]], directory)
-    cells = outcomes[0].job.scene.grid.cell
     return {
         "about": about_what,
-        "title": f"{scene['name']}: implicit against explicit and theory",
+        "title": f"{scene.name}: implicit against explicit and theory",
         "lead": f"Quasistatic collapse of one scene by the implicit solver and by the explicit one with local damping "
-        f"D = {DAMPING}, cell size {cells:g} m; theory is Eq. 4 of Wyser et al. (2023) with the friction angle.",
+        f"D = {DAMPING}, cell size {scene.grid.cell:g} m; theory is Eq. 4 of Wyser et al. (2023) with the angle of "
+        "friction.",
         "verdict": verdict(checks),
         "checks": checks,
         "sections": [section for section in sections if section],
@@ -121,17 +121,17 @@ def _label(outcome: Outcome) -> str:
     return outcome.job.mode + (f", D = {DAMPING:g}" if outcome.job.mode == "explicit" else "") + coarse
 
 
-def _distances(fine: dict[str, Outcome], scene: dict) -> dict[str, float]:
+def _distances(fine: dict[str, Outcome], scene: Scene) -> dict[str, float]:
     """L1 distance between the profiles of the runs on the scene's own grid, and from Eq. 4's solid."""
     profiles = {mode: profile(one.results.snapshot(-1)["x"], scene, axis_of(one.results)) for mode, one in fine.items()}
     found = {}
     if len(profiles) == 2:
         found["implicit from explicit"] = profile_distance(profiles["implicit"], profiles["explicit"])
-    if has_eq4(scene):
+    if known := theory(scene)["eq4"]:
+        cell = scene.grid.cell
         for mode, one in profiles.items():
-            cell = scene["grid"]["cell"]
             # To Eq. 4's foot at least: beyond a deposit that stops short its volume counts as well.
-            foot = scene["geometry"]["radius"] * (1.0 + eq4(scene["geometry"]["aspect_ratio"], tan_theta(scene)))
+            foot = scene.geometry.radius * (1.0 + known)
             edges = cell * np.arange(np.ceil(max(one.edges[-1], foot) / cell - 1e-9) + 1)
             found[f"{mode} from Eq. 4"] = profile_distance(one, eq4_profile(scene, edges))
     return found
@@ -189,11 +189,11 @@ def _way_to_rest(fine, directory) -> dict | None:
     return {"title": "On the way to rest", "text": [text], "tables": [], "figures": [drawn]}
 
 
-def _cost(outcomes, labels, scene, directory) -> dict:
+def _cost(outcomes, labels, directory) -> dict:
     figures, points = [], []
     for one in outcomes:
-        if one.done and has_eq4(scene):
-            off = abs(one.summary["R_995"] / theory(one.job.scene)["eq4"] - 1.0)
+        if one.done and (known := theory(one.job.scene)["eq4"]):
+            off = abs(one.summary["R_995"] / known - 1.0)
             row = {"solver": one.job.mode, "label": one.job.mode, "seconds": one.summary["wall_s"], "error": off}
             points.append(row | {"note": f"{one.summary['cells_per_radius']:g}"})
     if points:

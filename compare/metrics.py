@@ -1,6 +1,6 @@
 """What is measured on a deposit: its profile and how far two profiles are apart, flank angle, run-outs, height.
 
-A profile and a run-out come from points `x` (n, 3) [m] and the resolved scene as `Results.scene` gives it.
+A profile and a run-out come from points `x` (n, 3) [m] and its scene.
 """
 
 from dataclasses import dataclass
@@ -10,8 +10,9 @@ import numpy as np
 from mpm.errors import SceneError
 from mpm.results import Results
 from mpm.runout import Measure, run_out
+from mpm.scene import Box, Column, Scene
 from mpm.seed import SHARE
-from mpm.theory import eq4
+from mpm.theory import eq4, tan_phi
 
 FLANK = (0.10, 0.85)  # thickness over the greatest one, between which a ring counts as flank
 
@@ -45,7 +46,7 @@ def axis_of(results: Results) -> np.ndarray:
     return np.append(results.read_static("extent"), [0.0, 0.0])[2:4]  # earlier versions wrote no axis: it was x = y = 0
 
 
-def profile(x, scene: dict, axis=(0.0, 0.0)) -> Profile:
+def profile(x, scene: Scene, axis=(0.0, 0.0)) -> Profile:
     """Profile of points `x` (n, 3) [m] on rings (box: strips) one cell wide, from the axis to the farthest point.
 
     `axis` (x, y) [m]: where the vertical axis stands (see `axis_of`).
@@ -62,7 +63,7 @@ def profile(x, scene: dict, axis=(0.0, 0.0)) -> Profile:
     return Profile(edges, volume / (scale * np.diff(edges**power)), power, scale)
 
 
-def highest(x, scene: dict) -> np.ndarray:
+def highest(x, scene: Scene) -> np.ndarray:
     """Top [m] of the highest point on each ring of `profile(x, scene)`, half-length included; NaN where empty."""
     ring, edges = _rings(x, scene)
     top = np.full(len(edges) - 1, -np.inf)
@@ -70,18 +71,17 @@ def highest(x, scene: dict) -> np.ndarray:
     return np.where(np.isinf(top), np.nan, top)
 
 
-def eq4_profile(scene: dict, edges) -> Profile:
+def eq4_profile(scene: Scene, edges) -> Profile:
     """Eq. 4's solid (`mpm.theory.quasistatic_profile`) averaged exactly over rings with `edges` (m+1,) [m].
 
     Slope: the scene's friction angle. Its volume is the column's where the edges reach from the axis to the foot.
     Raises SceneError for a scene that is not a column, or has no friction.
     """
-    geometry, friction_angle = scene["geometry"], scene["material"]["friction_angle"]
-    if geometry["shape"] != "column" or friction_angle == 0:
+    column, tangent = scene.geometry, tan_phi(scene)
+    if not isinstance(column, Column) or tangent == 0:
         raise SceneError("Eq. 4 is for a column with an angle of friction above 0")
-    tangent = np.tan(np.radians(friction_angle))
-    height = geometry["radius"] * geometry["aspect_ratio"]
-    foot = geometry["radius"] * (1.0 + float(eq4(geometry["aspect_ratio"], tangent)))
+    height = column.height
+    foot = column.radius * (1.0 + float(eq4(column.aspect_ratio, tangent)))
     rim = max(foot - height / tangent, 0.0)  # a full cone has no flat top
     edges = np.asarray(edges, float)
     # Integral of h(r) r dr from the axis: to the rim of the flat top, then down the flank.
@@ -135,9 +135,9 @@ def deposit(results: Results) -> dict[str, float | None]:
         raise SceneError(f"{results.directory} has no snapshot to measure")
     scene, last = results.scene, results.snapshot(-1)
     x = last["x"].astype(float)  # from single precision, whose sums over all points are coarse
-    axes = (0,) if scene["geometry"]["shape"] == "box" else (0, 1)
+    axes = (0,) if isinstance(scene.geometry, Box) else (0, 1)
     reference, axis = results.read_static("extent")[0], axis_of(results)
-    measure = Measure(axes, reference, half_length(scene), scene["grid"]["cell"], tuple(axis))
+    measure = Measure(axes, reference, half_length(scene), scene.grid.cell, tuple(axis))
     volume_error = None
     if "volume" in last:
         volume_error = float(last["volume"].astype(float).sum() / (len(x) * _point_volume(scene)) - 1.0)
@@ -151,9 +151,9 @@ def deposit(results: Results) -> dict[str, float | None]:
 
 def _rings(x, scene):
     """Index (n,) of the ring or strip that each point is on, and all edges [m], one cell apart from 0."""
-    x, cell = np.asarray(x, float), scene["grid"]["cell"]
+    x, cell = np.asarray(x, float), scene.grid.cell
     # A point beyond x = 0, where there is no wall or a wall holds it but for rounding, counts on the first strip.
-    is_box = scene["geometry"]["shape"] == "box"
+    is_box = isinstance(scene.geometry, Box)
     distance = np.maximum(x[:, 0], 0.0) if is_box else np.hypot(x[:, 0], x[:, 1])
     ring = (distance / cell).astype(int)
     return ring, cell * np.arange(ring.max() + 2)
@@ -161,10 +161,10 @@ def _rings(x, scene):
 
 def _area_within(scene):
     """Power and scale of the area within an edge (see `Profile`)."""
-    geometry = scene["geometry"]
-    if geometry["shape"] == "box":
-        return 1, geometry["size"][1]
-    return 2, SHARE[geometry["symmetry"]] * np.pi
+    geometry = scene.geometry
+    if isinstance(geometry, Box):
+        return 1, geometry.size[1]
+    return 2, SHARE[geometry.symmetry] * np.pi
 
 
 def _thickness_between(edges, profile):
@@ -175,9 +175,9 @@ def _thickness_between(edges, profile):
 
 def half_length(scene) -> float:
     """A point's half-length [m]."""
-    return scene["grid"]["cell"] / (2 * scene["grid"]["points_per_cell"])
+    return scene.grid.cell / (2 * scene.grid.points_per_cell)
 
 
 def _point_volume(scene):
     """Initial volume of a point [m3]."""
-    return (scene["grid"]["cell"] / scene["grid"]["points_per_cell"]) ** 3
+    return (scene.grid.cell / scene.grid.points_per_cell) ** 3

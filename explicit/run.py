@@ -41,7 +41,7 @@ def run(scene: Scene, directory, device="cpu", force=False, monitor=None) -> dic
     mode = ExplicitRun.mode
     refuse(body, mode)
     described = provenance(device, scene.explicit.precision) | {"mode": mode, "code": code_version(mode)}
-    results = Results.create(directory, scene.model_dump(mode="json"), described, force)
+    results = Results.create(directory, scene, described, force)
     this = ExplicitRun(body, results, place)
     this.begin()
     return this.go(started, monitor)

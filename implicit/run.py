@@ -37,7 +37,7 @@ def run(
     described = provenance(ImplicitRun.device, ImplicitRun.precision)
     described |= libraries() | {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
     described |= {KEPT + name: value for name, value in asdict(regularisation).items()}
-    this = ImplicitRun(body, Results.create(directory, scene.model_dump(mode="json"), described, force), solver)
+    this = ImplicitRun(body, Results.create(directory, scene, described, force), solver)
     this.begin()
     return this.go(started, monitor)
 

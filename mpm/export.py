@@ -6,7 +6,6 @@ import numpy as np
 
 from mpm.errors import SceneError
 from mpm.fields import STRESS, UNITS, friction_mobilised, pressure
-from mpm.load import parse_scene
 from mpm.results import Results
 
 CSV_INDEX = "snapshots.csv"
@@ -27,7 +26,7 @@ class Snapshots:
         self.stored = [name for name in results.field_names if name != "x"]
         follow = [name for name, needed in FOLLOWS.items() if name not in self.stored and needed <= set(self.stored)]
         if "friction_mobilised" in follow:
-            self.constants = parse_scene(results.scene).material.constants()
+            self.constants = results.scene.material.constants()
             if not self.constants.plastic:
                 follow.remove("friction_mobilised")
         available = [*self.stored, *follow]

@@ -23,6 +23,8 @@ import numpy as np
 
 from mpm.command import command
 from mpm.errors import SceneError
+from mpm.load import parse_scene
+from mpm.scene import Scene
 
 RESULTS, CHECKPOINT, SUMMARY = "results.h5", "checkpoint.h5", "summary.json"
 PLOTS = ("morphology.png", "profile.png", "history.png")
@@ -43,10 +45,10 @@ class Results:
         self.directory = Path(directory)
 
     @classmethod
-    def create(cls, directory, scene: dict, provenance: dict, force: bool = False) -> "Results":
+    def create(cls, directory, scene: Scene, provenance: dict, force: bool = False) -> "Results":
         """Start a run in `directory`, made if need be.
 
-        scene: the resolved scene, JSON types only. provenance: flat, str or number (versions, device, ...).
+        provenance: flat, str or number (versions, device, ...).
         Raises SceneError for a folder that is not empty (unless `force`) or cannot be written.
         `force` removes the files of an earlier run there and nothing else.
         """
@@ -62,7 +64,7 @@ class Results:
             # Python's own open gives the plain reason ("Permission denied"); HDF5 buries it in a paragraph.
             (folder / RESULTS).touch()
             with h5py.File(folder / RESULTS, "w") as file:
-                file.attrs["scene"] = json.dumps(scene)
+                file.attrs["scene"] = scene.model_dump_json()
                 file.attrs["provenance"] = json.dumps(provenance)
                 for group in ("static", "snapshots", "history"):
                     file.create_group(group)
@@ -83,10 +85,15 @@ class Results:
         return results
 
     @property
-    def scene(self) -> dict:
-        """The resolved scene of the run."""
+    def scene(self) -> Scene:
+        """The validated scene of the run. Raises SceneError where it is none by what this version asks of a scene."""
         with self._reading() as file:
-            return json.loads(file.attrs["scene"])
+            table = json.loads(file.attrs["scene"])
+        try:
+            return parse_scene(table)
+        except SceneError as error:
+            where = self.directory
+            raise SceneError(f"{where}: made by another version of Repose; run its scene again ({error})") from None
 
     @property
     def provenance(self) -> dict:

@@ -10,7 +10,6 @@ from mpm.body import Body, build
 from mpm.command import command
 from mpm.errors import NumericalError, SceneError
 from mpm.fields import friction_mobilised, pressure
-from mpm.load import parse_scene
 from mpm.packing import packing
 from mpm.provenance import peak_memory_mb
 from mpm.results import Results
@@ -43,11 +42,7 @@ def body_of(results: Results) -> Body:
     """The body that a run started from, without its mesh file, which may be gone by now."""
     reference, height, *axis = results.read_static("extent")  # earlier versions wrote no axis: it was x = y = 0
     seeds = Seeds(results.read_static("x0"), reference, height, tuple(axis) or (0.0, 0.0))
-    try:
-        return build(parse_scene(results.scene), seeds)
-    except SceneError as error:
-        where = results.directory
-        raise SceneError(f"{where}: made by another version of Repose; run its scene again ({error})") from None
+    return build(results.scene, seeds)
 
 
 def find_invalid(state: dict, farthest: float) -> str:

@@ -4,6 +4,8 @@ h0/r0; self-weight.
 Equation numbers are those of Wyser et al. 2023 (Geosciences 13, 119). Lengths of the run-out are in units of r0.
 """
 
+import math
+
 import numpy as np
 from scipy.special import lambertw
 
@@ -102,20 +104,24 @@ def _truncated_cone(a):
     return 0.5 * (a + np.sqrt(np.where(square < 0.0, np.nan, square))) - 1.0
 
 
-def has_eq4(scene: dict) -> bool:
-    """Whether Eq. 4 speaks of this resolved scene (`Scene.model_dump(mode="json")`): a column that only friction holds
-    and that gravity pulls."""
-    material = scene["material"]
-    only_friction = material["model"] != "elastic" and material["cohesion"] == 0 and material["friction_angle"] > 0
-    return scene["geometry"]["shape"] == "column" and only_friction and scene["loads"]["gravity"] > 0
+def tan_phi(scene: Scene) -> float:
+    """Slope [-] of the scene's angle of friction. Eq. 4 takes it for tan(theta), that of the angle of repose."""
+    return math.tan(math.radians(scene.material.friction_angle))
+
+
+def has_eq4(scene: Scene) -> bool:
+    """Whether Eq. 4 speaks of this scene: a column that only friction holds and that gravity pulls."""
+    material = scene.material
+    only_friction = material.model != "elastic" and material.cohesion == 0 and material.friction_angle > 0
+    return isinstance(scene.geometry, Column) and only_friction and scene.loads.gravity > 0
 
 
 def theory(scene: Scene) -> dict[str, float | None]:
     """Run-outs of Eq. 4 and of Eq. 5 in Eq. 4 with theta = phi [-]; None where Eq. 4 does not speak of the scene."""
-    if not has_eq4(scene.model_dump(mode="json")):
+    if not has_eq4(scene):
         return {"eq4": None, "eq45": None}
-    lambda0, tangent = scene.geometry.aspect_ratio, float(np.tan(np.radians(scene.material.friction_angle)))
-    return {"eq4": float(eq4(lambda0, tangent)), "eq45": float(eq45(lambda0, tangent))}
+    lambda0, slope = scene.geometry.aspect_ratio, tan_phi(scene)
+    return {"eq4": float(eq4(lambda0, slope)), "eq45": float(eq45(lambda0, slope))}
 
 
 def outlook(body: Body) -> str:

@@ -383,7 +383,7 @@ def _draw(directory: Path) -> list[Path]:
 
     results = Results.open(directory)
     drawings = {"morphology.png": plot_morphology, "profile.png": plot_profile, "history.png": plot_history}
-    if results.scene["geometry"]["shape"] != "column":
+    if results.scene.geometry.shape != "column":
         del drawings["profile.png"]  # over the radius, which only a column has
     return [save(draw(results), directory / name) for name, draw in drawings.items()]
 
@@ -404,7 +404,7 @@ def _table1(body) -> Table:
     for heading in ("lambda0", "n_el", "n_no", "n_mp", "nodes stored at start", "nodes stored at most"):
         table.add_column(heading, justify="right")
     at_most, folder = "run it first", Path("runs") / f"{scene.name}-explicit"
-    if (folder / "summary.json").is_file() and Results.open(folder).scene == scene.model_dump(mode="json"):
+    if (folder / "summary.json").is_file() and Results.open(folder).scene == scene:
         at_most = f"{Results.open(folder).summary()['nodes_stored_max']:,}"
     start = ExplicitSolver(body, find_device("cpu")).nodes_stored_start
     table.add_row(f"{scene.geometry.aspect_ratio:g}", str(n_el), str(n_no), str(len(body.x)), f"{start:,}", at_most)

@@ -18,7 +18,7 @@ from mpm.errors import NumericalError
 from mpm.load import load_scene
 from mpm.results import Results
 from mpm.run import Run
-from mpm.theory import eq45
+from mpm.theory import theory
 
 DYNAMIC, DAMPED = "explicit.damping=0.05", "explicit.damping=0.4"
 LOW, MIDDLE = "column_small", "column_1"  # lambda0 = 0.5 and 1
@@ -42,7 +42,7 @@ def finish(
     body = build(resolved)
     body = replace(body, x=_turned(body.x, turned) + np.array(shifted))
     with TemporaryDirectory() as folder:
-        results = Results.create(folder, resolved.model_dump(mode="json"), {})
+        results = Results.create(folder, resolved, {})
         run = ExplicitRun(body, results, place) if mode == "explicit" else _implicit_run(body, results, regularisation)
         run.begin()
         run.stepping_since = time.perf_counter()
@@ -142,8 +142,7 @@ def tall():
     for aspect, cell in ((8, QUARTER), (16, f"grid.cell={1 / 3!r}")):
         run = collapse("explicit", MIDDLE, f"geometry.aspect_ratio={aspect}.0", cell, DYNAMIC)
         yield from sound(run, f"lambda0 = {aspect}")
-        theory = float(eq45(aspect, np.tan(np.radians(run.body.scene.material.friction_angle))))
-        ratio = runout(run) / theory
+        ratio = runout(run) / theory(run.body.scene)["eq45"]
         outside = max(0.8 - ratio, ratio - 1.3, 0.0)
         yield Finding(
             f"lambda0 = {aspect}: R over Eq. 4+5, outside 0.8 to 1.3", "explicit", outside, 0.0,

@@ -23,9 +23,8 @@ from compare.plots.style import (
     new_figure,
     save,
     styled,
-    tan_theta,
 )
-from mpm.theory import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, has_eq4, quasistatic_profile
+from mpm.theory import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, has_eq4, quasistatic_profile, tan_phi, theory
 
 WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
 COLOURS = (ORANGE, GREEN, PURPLE, RED, SKY)  # of runs; blue is the implicit solver's
@@ -37,8 +36,7 @@ def draw_profiles(outcomes, labels, path) -> Path:
     with styled():
         figure, axes = _panel(3.6)
         scene = outcomes[0].results.scene
-        radius = scene["geometry"]["radius"]
-        height = radius * scene["geometry"]["aspect_ratio"]
+        radius, height = scene.geometry.radius, scene.geometry.height
         farthest = radius
         for number, (outcome, label) in enumerate(zip(outcomes, labels, strict=True)):
             results = outcome.results
@@ -49,7 +47,7 @@ def draw_profiles(outcomes, labels, path) -> Path:
         axes.plot([0, radius, radius], [height, height, 0], ":", color=BLACK, label="initial column")
         if has_eq4(scene):
             fine = np.linspace(0.0, farthest, 600)
-            solid = radius * quasistatic_profile(height / radius, tan_theta(scene), fine / radius)
+            solid = radius * quasistatic_profile(height / radius, tan_phi(scene), fine / radius)
             axes.fill_between(fine, solid, color=BLACK, alpha=0.08, linewidth=0)
             axes.plot(fine, solid, color=BLACK, linewidth=1.0, label=EQ4_LABEL)
         axes.set(xlim=(0, farthest), ylim=(0, None), xlabel="radius r [m]", ylabel="mean thickness [m]")
@@ -61,7 +59,7 @@ def draw_plan_and_section(outcome, title, path, most) -> Path:
     """The deposit from above and cut through its top; colour: plastic strain up to `most` (None: its 98 % quantile)."""
     results = outcome.results
     last, x0, scene = last_snapshot(results), results.read_static("x0"), results.scene
-    x, cell, half = last["x"], scene["grid"]["cell"], half_length(scene)
+    x, cell, half = last["x"], scene.grid.cell, half_length(scene)
     values, label = colour_values(x, x0, last)
     colours = {"cmap": "viridis", "vmin": 0.0, "vmax": most or np.quantile(values, 0.98) or 1.0, "linewidths": 0}
     wide, deep, high = np.ptp(np.concatenate([x, x0]), axis=0)
@@ -112,8 +110,7 @@ def draw_histories(outcomes, labels, time_scale, path) -> Path:
                 ratio = history["KE_grid"] / history["KE_grid"].max()
                 unrest.semilogy(time, ratio, style, color=colour, label="explicit: grid kinetic energy / peak")
         scene = outcomes[0].results.scene
-        if has_eq4(scene):
-            limit = eq4(scene["geometry"]["aspect_ratio"], tan_theta(scene))
+        if limit := theory(scene)["eq4"]:
             run_out.axhline(limit, color=BLACK, linewidth=1.0, label=EQ4_LABEL)
         run_out.set(ylabel="run-out R_995 [-]")
         unrest.set(xlabel="(pseudo-)time / sqrt(h0/g) [-]", ylabel="unrest [-]", ylim=(1e-6, None))

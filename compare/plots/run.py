@@ -26,14 +26,14 @@ from compare.plots.style import (
     last_snapshot,
     new_figure,
     styled,
-    tan_theta,
     title_of,
 )
 from compare.plots.surface import deposit_surface
 from implicit.pseudo_time import REST_UNBALANCED
 from mpm.errors import SceneError
 from mpm.results import Results
-from mpm.theory import eq4, has_eq4, quasistatic_profile
+from mpm.scene import Column
+from mpm.theory import has_eq4, quasistatic_profile, tan_phi, theory
 
 NO_TICKS = 0.15  # of the longest axis' length: numbers on one that is shorter would overlap
 EDGES = (0.0, 0.0, 0.0, 0.25)
@@ -65,7 +65,7 @@ def plot_morphology(results: Results) -> Figure:
     last = last_snapshot(results)
     x, x0 = last["x"], results.read_static("x0")
     values, label = colour_values(x, x0, last)
-    cell, half = results.scene["grid"]["cell"], half_length(results.scene)
+    cell, half = results.scene.grid.cell, half_length(results.scene)
     colours = {"cmap": "viridis", "vmin": 0.0, "vmax": np.quantile(values, 0.98) or 1.0, "linewidths": 0}
     with styled():
         figure = new_figure(11.0, 4.6)
@@ -86,19 +86,18 @@ def plot_profile(results: Results) -> Figure:
     Raises SceneError for a scene that is not a column, and without a snapshot.
     """
     scene, last = results.scene, last_snapshot(results)
-    if scene["geometry"]["shape"] != "column":
+    if not isinstance(scene.geometry, Column):
         raise SceneError(f"{results.directory}: only a column has a radial profile")
     top = highest(last["x"], scene)
-    edges = np.arange(len(top) + 1) * scene["grid"]["cell"]
-    radius = scene["geometry"]["radius"]
-    height = radius * scene["geometry"]["aspect_ratio"]
+    edges = np.arange(len(top) + 1) * scene.grid.cell
+    radius, height = scene.geometry.radius, scene.geometry.height
     fine = np.linspace(0.0, edges[-1], 600)
     with styled():
         figure = new_figure(8.0, 4.2)
         axes = figure.add_axes((0.09, 0.14, 0.88, 0.76))
         axes.plot([0, radius, radius], [height, height, 0], "--", color=SKY, label="initial column")
         if has_eq4(scene):
-            solid = radius * quasistatic_profile(height / radius, tan_theta(scene), fine / radius)
+            solid = radius * quasistatic_profile(height / radius, tan_phi(scene), fine / radius)
             axes.fill_between(fine, solid, color=BLACK, alpha=0.08, linewidth=0)
             axes.plot(fine, solid, color=BLACK, label=EQ4_LABEL)
         middles = (edges[1:] + edges[:-1]) / 2
@@ -121,8 +120,7 @@ def plot_history(results: Results) -> Figure:
         figure = new_figure(11.0, 4.4)
         run_out = figure.add_axes((0.08, 0.14, 0.355, 0.74))
         _draw_columns(run_out, history, RUN_OUTS)
-        if has_eq4(scene):
-            limit = eq4(scene["geometry"]["aspect_ratio"], tan_theta(scene))
+        if limit := theory(scene)["eq4"]:
             run_out.axhline(limit, color=BLACK, linestyle="--", label=EQ4_LABEL)
         if "unbalanced" in history:
             lowest = figure.add_axes((0.52, 0.14, 0.30, 0.74))

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from scipy.spatial import ConvexHull
 
 from mpm.errors import SceneError
+from mpm.scene import Column
 
 STYLE = {
     "font.size": 10,
@@ -57,20 +58,14 @@ def save(figure, path) -> Path:
     return Path(path)
 
 
-def tan_theta(scene) -> float:
-    """Eq. 4's slope [-]: the angle of repose is taken to be the friction angle."""
-    return np.tan(np.radians(scene["material"]["friction_angle"]))
-
-
 def title_of(results, at: float | None = None) -> str:
     """What a picture of a run is headed by: scene, solver, damping, resolution and the time `at` [s] it shows."""
     scene, mode = results.scene, results.provenance.get("mode", "explicit")
-    how = "quasistatic" if mode == "implicit" else f"D = {scene['explicit']['damping']:g}"
-    cell = scene["grid"]["cell"]
-    is_column = scene["geometry"]["shape"] == "column"
-    size = f"{scene['geometry']['radius'] / cell:.3g} cells per r0" if is_column else f"cell {cell:.3g} m"
+    how = "quasistatic" if mode == "implicit" else f"D = {scene.explicit.damping:g}"
+    body, cell = scene.geometry, scene.grid.cell
+    size = f"{body.radius / cell:.3g} cells per r0" if isinstance(body, Column) else f"cell {cell:.3g} m"
     time = "" if at is None else f", {'pseudo-time' if mode == 'implicit' else 't ='} {at:.3g} s"
-    return f"{scene['name']}: {mode}, {how}, {size}{time}"
+    return f"{scene.name}: {mode}, {how}, {size}{time}"
 
 
 def last_snapshot(results) -> dict:

@@ -5,6 +5,7 @@ import numpy as np
 from compare.batch import Outcome
 from compare.experiments import experiments
 from mpm.provenance import installed, provenance
+from mpm.scene import Scene
 from mpm.theory import eq6, eq6_printed, theory
 
 WHAT_MEASURES_MEAN = [
@@ -100,12 +101,13 @@ def failures(outcomes: list[Outcome], labels: list[str]) -> list[str]:
     return [f"{label} failed: {one.reason}" for one, label in zip(outcomes, labels, strict=True) if not one.done]
 
 
-def scene_section(scene: dict) -> dict:
+def scene_section(scene: Scene) -> dict:
     """What was computed, from the resolved scene."""
+    sections = scene.model_dump(mode="json")
     rows = [
         [f"{section}.{key}", str(value)]
         for section in ("geometry", "grid", "material", "loads")
-        for key, value in scene[section].items()
+        for key, value in sections[section].items()
     ]
     table = {"caption": "Scene, in SI units and degrees", "columns": ["key", "value"], "rows": rows}
     return {"title": "The scene", "text": [], "tables": [table], "figures": []}

@@ -25,7 +25,7 @@ from compare.report.sections import (
     verdict,
 )
 from mpm.errors import SceneError
-from mpm.theory import eq4, eq6, eq45
+from mpm.theory import eq4, eq6, eq45, tan_phi
 
 CELLS, QUICK_CELLS = 20, 8  # per r0, of the explicit runs; the paper's resolution is 20
 # Of the implicit runs. An implicit run's cost grows with the fifth power of the resolution: half the paper's.
@@ -64,7 +64,7 @@ def study_paper(
     refuse_another(directory, about_what, force)
     jobs = plan(sorted(set(lambda0)), sorted(set(damping)), quick, device)
     outcomes = run_all(jobs, directory / "runs", workers, force, monitor)
-    tangent = float(np.tan(np.radians(jobs[0].scene.material.friction_angle)))
+    tangent = tan_phi(jobs[0].scene)
     rows = [_row(one, tangent) for one in outcomes]
     labels = [one.job.name for one in outcomes]
     checks = _checks(rows)

@@ -115,7 +115,7 @@ def test_run_writes_results_summary_and_paraview_files(repose, tmp_path):
     assert (summary["eq4"], summary["eq45"]) == pytest.approx((0.3069, 0.4183), rel=4e-3)
     run = Results.open(folder)
     np.testing.assert_allclose(run.times, [0.0, 0.02, 0.04, 0.05])
-    assert run.scene["grid"]["cell"] == 0.25
+    assert run.scene.grid.cell == 0.25
     assert run.read_static("x0").shape == (208, 3)
     assert np.all(np.diff(run.history()["time"]) > 0)
 
@@ -475,7 +475,7 @@ def test_a_folder_without_a_run(refused, tmp_path, command):
 
 
 def test_resume_without_a_checkpoint(refused, tmp_path):
-    Results.create(tmp_path / "run", load_scene("column_small").model_dump(mode="json"), {"device": "cpu"})
+    Results.create(tmp_path / "run", load_scene("column_small"), {"device": "cpu"})
     assert "run: no checkpoint" in refused("resume", "run")
 
 

@@ -202,8 +202,8 @@ def test_a_study_refuses_a_folder_that_holds_more_than_was_asked_for(tmp_path):
 
 def test_distance_from_eq4_counts_its_volume_beyond_a_deposit_that_stops_short(tmp_path):
     """The column itself, which has not collapsed: what lies beyond r0 under Eq. 4's flank must have moved out there."""
-    scene = load_scene("column_0.5").model_dump(mode="json")
-    x = build(load_scene("column_0.5")).x
+    scene = load_scene("column_0.5")
+    x = build(scene).x
     run = Results.create(tmp_path / "run", scene, {})
     run.write_static("extent", np.array([1.0, 0.5, 0.0, 0.0]))
     run.write_snapshot(0.0, 0, {"x": x.astype(np.float32)})

@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from compare.metrics import Profile, axis_of, deposit, eq4_profile, flank_angle, highest, profile, profile_distance
 from mpm.errors import SceneError
+from mpm.load import parse_scene
 from mpm.results import Results
 from mpm.theory import eq4, quasistatic_profile
 
@@ -20,17 +21,24 @@ LAMBDA0 = (0.5, 1.0, 2.0)
 CELL = 0.05
 
 
-def column(cell=CELL, lambda0=1.0, symmetry="quarter", radius=1.0):
-    return {
-        "name": "synthetic",
-        "geometry": {"shape": "column", "radius": radius, "aspect_ratio": lambda0, "symmetry": symmetry},
-        "grid": {"cell": cell, "points_per_cell": 2},
-        "material": {"friction_angle": FRICTION_ANGLE},
-    }
+SAND = {"young": 1e6, "poisson": 0.3, "density": 2000.0, "friction_angle": FRICTION_ANGLE}
+
+
+def scene(geometry, cell=CELL, **material):
+    return parse_scene({"name": "made", "geometry": geometry, "grid": {"cell": cell}, "material": SAND | material})
+
+
+def column(cell=CELL, lambda0=1.0, symmetry="quarter", radius=1.0, **material):
+    geometry = {"shape": "column", "radius": radius, "aspect_ratio": lambda0, "symmetry": symmetry}
+    return scene(geometry, cell, **material)
+
+
+def mesh(cell=CELL, symmetry="full"):
+    return scene({"shape": "mesh", "file": "cone.stl", "symmetry": symmetry}, cell)
 
 
 def box(size, cell=CELL):
-    return {"name": "box", "geometry": {"shape": "box", "size": size}, "grid": {"cell": cell, "points_per_cell": 2}}
+    return scene({"shape": "box", "size": size}, cell)
 
 
 def lattice(size, spacing):
@@ -63,9 +71,9 @@ def on_rings(edges, thickness):
     return Profile(np.array(edges, float), np.array(thickness, float), 2, np.pi)
 
 
-def store(directory, scene, x, reference=1.0, axis=(0.0, 0.0), **fields):
+def store(directory, its_scene, x, reference=1.0, axis=(0.0, 0.0), **fields):
     """A run whose one snapshot, in single precision as a run writes it, holds `x` and `fields`."""
-    run = Results.create(directory, scene, {})
+    run = Results.create(directory, its_scene, {})
     run.write_static("extent", np.array([reference, 1.0, *axis]))
     run.write_snapshot(1.0, 10, {name: value.astype(np.float32) for name, value in {"x": x, **fields}.items()})
     return run
@@ -96,13 +104,11 @@ def test_profile_of_a_box_by_hand():
 @pytest.mark.parametrize(
     ("symmetry", "images"), [("half", [(1, 1), (-1, 1)]), ("full", [(1, 1), (-1, 1), (1, -1), (-1, -1)])]
 )
-@pytest.mark.parametrize("shape", ["column", "mesh"])
-def test_a_sectors_mirror_images_do_not_change_the_thickness(symmetry, images, shape):
+@pytest.mark.parametrize("body", [column, mesh])
+def test_a_sectors_mirror_images_do_not_change_the_thickness(symmetry, images, body):
     quarter = cone(2 * CELL)
     mirrored = np.concatenate([quarter * [*image, 1] for image in images])
-    scene = column(2 * CELL, symmetry=symmetry)
-    scene["geometry"]["shape"] = shape
-    whole, part = profile(mirrored, scene), profile(quarter, column(2 * CELL))
+    whole, part = profile(mirrored, body(2 * CELL, symmetry=symmetry)), profile(quarter, column(2 * CELL))
     np.testing.assert_allclose(whole.thickness, part.thickness)
     assert whole.volume == pytest.approx(len(images) * part.volume)
     assert profile_distance(whole, part) == pytest.approx(0.0, abs=1e-12)
@@ -171,9 +177,9 @@ def test_no_flank_of_three_rings_has_no_angle():
 @pytest.mark.parametrize("lambda0", LAMBDA0)
 def test_eq4_profile_is_the_mean_over_each_ring_and_holds_the_columns_volume(lambda0):
     """Against quadrature, on edges as uneven as they may be; 3 m reach past the foot."""
-    scene = column(lambda0=lambda0, symmetry="half", radius=1.2)
+    half = column(lambda0=lambda0, symmetry="half", radius=1.2)
     edges = np.array([0.0, 0.07, 0.5, 0.81, 1.3, 1.9, 2.0, 3.0])
-    found = eq4_profile(scene, edges)
+    found = eq4_profile(half, edges)
     foot = 1.0 + float(eq4(lambda0, TAN))
     kinks = [1.2 * (foot - lambda0 / TAN), 1.2 * foot]
     for inner, outer, thickness in zip(edges[:-1], edges[1:], found.thickness, strict=True):
@@ -185,11 +191,9 @@ def test_eq4_profile_is_the_mean_over_each_ring_and_holds_the_columns_volume(lam
 
 
 def test_eq4_profile_is_for_columns_with_friction():
-    frictionless = column()
-    frictionless["material"]["friction_angle"] = 0.0
-    for scene in (box((1.0, 1.0, 1.0)) | {"material": {"friction_angle": 30.0}}, frictionless):
+    for other in (box((1.0, 1.0, 1.0)), column(friction_angle=0.0, cohesion=1e3)):
         with pytest.raises(SceneError, match=r"Eq\. 4"):
-            eq4_profile(scene, [0.0, 1.0])
+            eq4_profile(other, [0.0, 1.0])
 
 
 @pytest.mark.parametrize("lambda0", LAMBDA0)
@@ -274,12 +278,11 @@ def test_deposit_of_a_cone(tmp_path):
 
 def test_deposit_of_a_mesh_is_measured_about_its_axis(tmp_path):
     """A cone far from the origin: the same figures as at the origin."""
-    scene = column() | {"geometry": {"shape": "mesh", "file": "cone.stl", "symmetry": "full"}}
     quarter = cone(CELL, 1.2)
     x = np.concatenate([quarter * [sx, sy, 1] for sx in (-1, 1) for sy in (-1, 1)])
-    at_origin = deposit(store(tmp_path / "origin", scene, x))
+    at_origin = deposit(store(tmp_path / "origin", mesh(), x))
     away = deposit(
-        store(tmp_path / "away", scene, x + np.array([40 * CELL, -80 * CELL, 0.0]), axis=(40 * CELL, -80 * CELL))
+        store(tmp_path / "away", mesh(), x + np.array([40 * CELL, -80 * CELL, 0.0]), axis=(40 * CELL, -80 * CELL))
     )
     assert away.pop("volume_error") is at_origin.pop("volume_error") is None
     assert away == pytest.approx(at_origin, rel=1e-5)

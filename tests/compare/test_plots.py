@@ -10,6 +10,7 @@ from compare.metrics import highest, profile
 from compare.plots.run import plot_history, plot_morphology, plot_profile
 from implicit.pseudo_time import REST_UNBALANCED
 from mpm.errors import SceneError
+from mpm.load import parse_scene
 from mpm.results import Results
 from mpm.theory import eq4, quasistatic_profile
 
@@ -17,16 +18,17 @@ CELL = 0.125
 TAN = np.tan(np.radians(37.55))
 
 
+SHAPES = {
+    "column": {"radius": 1.0, "aspect_ratio": 1.0},
+    "box": {"size": [1.0, 1.0, 1.0]},
+    "mesh": {"file": "heap.stl"},
+}
+
+
 def scene(shape="column", model="drucker_prager", symmetry="quarter", cell=CELL):
-    geometry = {"shape": shape, "radius": 1.0, "aspect_ratio": 1.0, "symmetry": symmetry}
-    return {
-        "name": "synthetic",
-        "geometry": geometry if shape == "column" else {"shape": shape, "size": [1.0, 1.0, 1.0]},
-        "grid": {"cell": cell, "points_per_cell": 2},
-        "material": {"model": model, "friction_angle": 37.55, "cohesion": 0.0},
-        "loads": {"gravity": 9.81},
-        "explicit": {"damping": 0.05},
-    }
+    geometry = {"shape": shape} | SHAPES[shape] | ({"symmetry": symmetry} if shape == "column" else {})
+    material = {"model": model, "young": 1e6, "poisson": 0.3, "density": 2000.0, "friction_angle": 37.55}
+    return parse_scene({"name": "synthetic", "geometry": geometry, "grid": {"cell": cell}, "material": material})
 
 
 def block(count, spacing):

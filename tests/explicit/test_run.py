@@ -19,7 +19,7 @@ COARSE = ["grid.cell=0.25", "explicit.until=0.3", "output.every=0.1"]
 def started(directory, *settings):
     scene = load_scene("column_1", [*COARSE, *settings])
     place = {"device": "cpu", "device_name": "-"}
-    results = Results.create(directory, scene.model_dump(mode="json"), place)
+    results = Results.create(directory, scene, place)
     body = build(scene)
     part = ExplicitRun(body, results, find_device("cpu"))
     part.begin()

@@ -16,7 +16,7 @@ COLUMN, BOX = "column_small", "self_weight"
 
 
 def store(folder, scene, names):
-    run = Results.create(folder, load_scene(scene).model_dump(mode="json"), {})
+    run = Results.create(folder, load_scene(scene), {})
     rng = np.random.default_rng(3)
     widths = {"velocity": (3,), "stress": (6,)}
     for step, time in enumerate([0.0, 0.1]):
@@ -82,11 +82,11 @@ def test_nothing_follows_from_what_is_not_stored(tmp_path):
 
 def test_a_run_without_snapshots_is_refused(tmp_path):
     with pytest.raises(SceneError, match="no snapshot"):
-        write_csv(Results.create(tmp_path / "empty", {}, {}))
+        write_csv(Results.create(tmp_path / "empty", load_scene(COLUMN), {}))
 
 
 def test_another_run_by_force_takes_the_tables_away_and_nothing_else(run):
     write_csv(run)
     (run.directory / "csv" / "mine.csv").write_text("keep me")
-    Results.create(run.directory, {}, {}, force=True)
+    Results.create(run.directory, load_scene(COLUMN), {}, force=True)
     assert [path.name for path in (run.directory / "csv").iterdir()] == ["mine.csv"]

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from mpm.errors import SceneError
+from mpm.load import load_scene
 from mpm.results import Results
 
-SCENE = {"name": "small", "geometry": {"shape": "column", "radius": 1.0}, "grid": {"cell": 0.1}}
+SCENE = load_scene("column_small")
+OTHER = load_scene("elastic_bar")
 PROVENANCE = {"repose": "0.1.0", "device": "cpu", "points": 12, "cfl": 0.5}
 
 
@@ -34,8 +36,17 @@ def test_scene_and_provenance_come_back_from_a_new_object(run):
     assert again.provenance == PROVENANCE
 
 
+def test_a_scene_of_an_earlier_version_that_no_longer_validates_is_a_scene_error(run):
+    with h5py.File(run.directory / "results.h5", "r+") as file:
+        file.attrs["scene"] = file.attrs["scene"].replace('"cfl"', '"courant"')
+    again = Results.open(run.directory)
+    with pytest.raises(SceneError, match=r"made by another version of Repose; run its scene again.*courant"):
+        again.scene  # noqa: B018
+    assert again.provenance == PROVENANCE  # the rest can be read all the same
+
+
 def test_a_scene_larger_than_an_hdf5_attribute_header_is_kept(tmp_path):
-    scene = {"notes": "x" * 200_000}
+    scene = load_scene("column_small", sections={"name": "x" * 200_000})
     assert Results.create(tmp_path / "run", scene, {}).scene == scene
 
 
@@ -118,7 +129,7 @@ def test_truncate_after_keeps_the_given_time_and_lets_the_run_go_on(run):
 
 def test_create_refuses_a_folder_in_use_and_names_both_ways_out(run):
     with pytest.raises(SceneError) as caught:
-        Results.create(run.directory, {"name": "other"}, {})
+        Results.create(run.directory, OTHER, {})
     for word in (str(run.directory), "--force", f"repose resume {run.directory}"):
         assert word in str(caught.value)
     assert Results.open(run.directory).scene == SCENE
@@ -144,10 +155,10 @@ def test_force_replaces_the_run_and_leaves_foreign_files(run):
     (run.directory / "vtk").mkdir()
     for name in foreign + ours:
         (run.directory / name).write_text("x")
-    fresh = Results.create(run.directory, {"name": "second"}, {}, force=True)
+    fresh = Results.create(run.directory, OTHER, {}, force=True)
     left = sorted(str(p.relative_to(run.directory)) for p in run.directory.rglob("*") if p.is_file())
     assert left == sorted([*foreign, "results.h5"])
-    assert fresh.scene == {"name": "second"}
+    assert fresh.scene == OTHER
     assert (fresh.snapshot_count, fresh.has_checkpoint, fresh.summary()) == (0, False, None)
 
 

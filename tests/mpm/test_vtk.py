@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from mpm.errors import SceneError
+from mpm.load import load_scene
 from mpm.results import Results
 from mpm.vtk import write_vtk
 
@@ -16,7 +17,7 @@ POINT_COUNT = 11
 @pytest.fixture
 def run(tmp_path):
     """Two snapshots with a scalar, a vector, a symmetric tensor and an integer field."""
-    run = Results.create(tmp_path / "run", {"name": "vtk"}, {})
+    run = Results.create(tmp_path / "run", load_scene("column_small"), {})
     rng = np.random.default_rng(3)
     for step, time in enumerate([0.0, 0.1]):
         fields = {
@@ -88,6 +89,6 @@ def test_unknown_field_names_the_available_ones(run):
 
 
 def test_run_without_snapshots_is_a_scene_error(tmp_path):
-    run = Results.create(tmp_path / "empty", {}, {})
+    run = Results.create(tmp_path / "empty", load_scene("column_small"), {})
     with pytest.raises(SceneError, match="no snapshot"):
         write_vtk(run)

@@ -58,7 +58,7 @@ def test_restart_is_bitwise_equal_to_an_uninterrupted_run(tmp_path, more):
     run(scene, tmp_path / "whole")
 
     body = build(scene)
-    results = Results.create(tmp_path / "cut", scene.model_dump(mode="json"), {"device": "cpu", "device_name": "-"})
+    results = Results.create(tmp_path / "cut", scene, {"device": "cpu", "device_name": "-"})
     part = ExplicitRun(body, results, find_device("cpu"))
     part.begin()
     for _ in range(9):
