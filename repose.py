@@ -24,6 +24,8 @@ if TYPE_CHECKING:  # figures, arrays and Warp take a second to import: only what
     import pyvista
     from matplotlib.figure import Figure
 
+    from explicit.solver import ExplicitSolver
+    from implicit.solver import ImplicitSolver
     from mpm.scene import Scene
 
 __all__ = ["Comparison", "NumericalError", "Result", "SceneError", "Solver", "compare", "load_scene", "open_run", "run"]
@@ -228,7 +230,7 @@ class Solver:
         if mode == "explicit":
             from explicit.solver import ExplicitSolver
 
-            self._solver = ExplicitSolver(self.body, place)
+            self._solver: ExplicitSolver | ImplicitSolver = ExplicitSolver(self.body, place)
         else:
             from implicit.solver import ImplicitSolver
 

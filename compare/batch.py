@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from compare.solvers import runs_of
 from compare.worker import JOB, OUTCOME
@@ -58,7 +59,7 @@ class Job:
         Raises SceneError for a device that is not there, with a list of those that are, or an unreadable mesh file.
         """
         find_device(self.device)
-        decides = [self.scene.model_dump(mode="json"), self.mode, self.regularisation]
+        decides: list[Any] = [self.scene.model_dump(mode="json"), self.mode, self.regularisation]
         decides += [device_name(self.device), code_version(self.mode), self.repeat]
         if isinstance(self.scene.geometry, Mesh):
             file = Path(self.scene.geometry.file)

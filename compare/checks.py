@@ -32,7 +32,7 @@ def quasistatic_checks(
     found.append(_steps(outcomes[0].summary))
     if scene.material.model == "drucker_prager" and scene.material.dilatancy_angle == 0:
         for one, measured in fine:
-            gain = measured and measured["volume_error"]
+            gain = measured["volume_error"] if measured else None
             said = "the run failed" if gain is None else f"the deposit gained {gain:+.1%}"
             sentence = f"{said}; {VOLUME_KEPT:.0%} is allowed."
             found.append(check(f"{one.job.mode} keeps its volume", gain, VOLUME_KEPT, sentence))

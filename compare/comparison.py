@@ -157,7 +157,8 @@ def _agreement(outcomes, labels, runs, distances, directory) -> dict:
         tables.append({"caption": "Distance between profiles", "columns": ["profile", "volume between"], "rows": rows})
     figures = []
     if done and outcomes[0].job.scene.geometry.shape == "column":
-        draw_profiles(*zip(*done, strict=True), directory / "profiles.png")
+        ended, names = zip(*done, strict=True)
+        draw_profiles(ended, names, directory / "profiles.png")
         figures.append(
             figure("profiles.png", "Azimuthal mean thickness over the radius: mass in a ring over its area.")
         )

@@ -71,10 +71,9 @@ class ExplicitRun(Run):
         super().__init__(body, results, ExplicitSolver(body, device))
         scene = body.scene
         self.device, self.precision = self.solver.device.alias, scene.explicit.precision
-        self.rest_wanted = scene.explicit.until == "rest"
-        self.end = scene.explicit.until
-        if self.rest_wanted:
-            self.end = scene.explicit.max_time or MAX_TIME * body.time_scale
+        until = scene.explicit.until
+        self.rest_wanted = until == "rest"
+        self.end: float = (scene.explicit.max_time or MAX_TIME * body.time_scale) if until == "rest" else until
         watch = body.time_scale / HISTORY_ROWS
         self.history_every = scene.output.history_every or watch
         if self.rest_wanted:

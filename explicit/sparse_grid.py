@@ -26,7 +26,7 @@ class SparseGrid:
         self.i0 = self.j0 = 0
         self.shape = (0, 0)
         self.stored = self.capacity = 0
-        self.pencil_of = None
+        self.pencil_of: wp.array | None = None
 
     @property
     def bytes(self) -> int:
@@ -69,8 +69,9 @@ class SparseGrid:
             return False
         self.i0, self.j0 = low_i - WINDOW_SLACK, low_j - WINDOW_SLACK
         self.shape = (high_i - self.i0 + 1 + WINDOW_SLACK, high_j - self.j0 + 1 + WINDOW_SLACK)
-        for name in ("low", "high", "first", "count", "base"):
-            setattr(self, name, wp.zeros(self.shape, dtype=wp.int32, device=self.device))
+        self.low, self.high, self.first, self.count, self.base = (
+            wp.zeros(self.shape, dtype=wp.int32, device=self.device) for _ in range(5)
+        )
         return True
 
     def _launch(self, kernel, dim, inputs):

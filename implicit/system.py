@@ -42,7 +42,7 @@ class System:
         self.flux = self._zeros(state.count, mat33)
         self.tangents = self._zeros((state.count, 9), mat33)
         self.u = self._zeros(self.count, vec3)
-        self._deformed = None
+        self._deformed: tuple[np.ndarray, bool] | None = None
         seen = (self._seen, self._seen_count, self.nodes)
         self.volume = Volume(state, weights, *seen, self._held, material)
         self.set_regularisation()
@@ -155,7 +155,7 @@ class System:
         self._inertia = wp.array(self.inertia, dtype=real, device="cpu")
         self.carried = momentum * dt * self.velocity if momentum else 0.0
         self.ghost_stiffness = real(ghost)
-        self._last = None
+        self._last: tuple[np.ndarray, np.ndarray] | None = None
 
     def residual(self, u: np.ndarray) -> np.ndarray:
         """Out-of-balance force (count, 3) [N] at the increment `u` (count, 3) [m]; REFUSED where a point collapses.

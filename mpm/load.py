@@ -5,6 +5,7 @@ import json
 import math
 import os
 import tomllib
+from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 
@@ -49,7 +50,7 @@ def read_scene_file(reference: str) -> tuple[dict, Path]:
         raise SceneError(f"scene '{reference}': not a readable TOML file: {error}") from None
 
 
-def load_scene(reference: str, overrides: list[str] = (), sections: dict | None = None) -> Scene:
+def load_scene(reference: str, overrides: Sequence[str] = (), sections: dict | None = None) -> Scene:
     """Validated scene from a file or preset name, with `key=value` overrides (dotted keys, TOML values).
 
     `sections`: keys to set, section by section, as {"explicit": {"damping": 0.4}}; "name" is a text.

@@ -75,9 +75,9 @@ class Run:
         self.every = body.scene.output.every
         self.snapshots = 0
         self.wall_before = self.setup_s = self.saved_time = 0.0
-        self.stepping_since = None
+        self.stepping_since: float | None = None
         self.unsaved: list[dict[str, float]] = []  # history rows since the last checkpoint
-        self.stop_reason = None
+        self.stop_reason: str | None = None
 
     @property
     def x(self) -> np.ndarray:

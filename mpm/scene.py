@@ -96,7 +96,7 @@ class Material(Section):
     friction_angle: float = quantity("degrees", "angle of friction phi", 0.0, ge=0, le=80)
     cohesion: float = quantity("Pa", "cohesion c", 0.0, ge=0)
     dilatancy_angle: float = quantity("degrees", "angle of dilatancy psi", 0.0, ge=0, le=80)
-    cone: Literal[CONES] = Field("plane_strain", description="how the cone is matched to Mohr-Coulomb")
+    cone: Literal[CONES] = Field("plane_strain", description="how the cone is matched to Mohr-Coulomb")  # type: ignore[valid-type]
 
     def constants(self) -> Constants:
         """Moduli and cone constants (see `mpm.drucker_prager`)."""
@@ -151,7 +151,7 @@ class Output(Section):
         None,
         ge=1e-6,
     )
-    fields: tuple[Literal[FIELDS], ...] = Field(
+    fields: tuple[Literal[FIELDS], ...] = Field(  # type: ignore[valid-type]
         ("displacement", "velocity", "stress", "eps_p_eqv", "volume_ratio"),
         description="point fields of the snapshots",
         strict=False,

@@ -70,7 +70,7 @@ def _mesh(mesh: Mesh, cell: float) -> Seeds:
         raise SceneError([f"geometry.file = {mesh.file}: {problem}" for problem in error.problems]) from None
     axis[np.isfinite(planes)] = 0.0
     radius = np.linalg.norm(vertices[:, :2] - axis, axis=1).max()
-    return Seeds(x, float(radius), float(vertices[:, 2].max()), tuple(map(float, axis)), fit)
+    return Seeds(x, float(radius), float(vertices[:, 2].max()), (float(axis[0]), float(axis[1])), fit)
 
 
 def _require_on_floor(mesh, vertices, cell):

@@ -19,10 +19,10 @@ class Walls:
     A condition holds on its wall's nodes and on every node beyond.
     """
 
-    low: tuple[int, int, int]
-    high: tuple[int, int, int]
-    low_kind: tuple[int, int, int]
-    high_kind: tuple[int, int, int]
+    low: tuple[int, ...]
+    high: tuple[int, ...]
+    low_kind: tuple[int, ...]
+    high_kind: tuple[int, ...]
 
 
 def walls_of(scene: Scene) -> Walls:

@@ -4,6 +4,7 @@ import difflib
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel
+from pydantic_core import ErrorDetails
 
 # An unknown key is taken for a slip of the pen of a known one that is as long but for so many letters, and as like to
 # it (`difflib`'s ratio): "poison" is, at 0.92, "basal_friction" for friction_angle is not, at 0.57.
@@ -16,7 +17,7 @@ RETIRED = {
 }
 
 
-def explain(error: dict, scene: type[BaseModel]) -> str:
+def explain(error: ErrorDetails, scene: type[BaseModel]) -> str:
     """One problem in one line: key, value, accepted range and unit, or the nearest known key.
 
     `error`: one of pydantic's `ValidationError.errors()`. `scene`: the model that was validated.
@@ -53,7 +54,7 @@ def _meant(word: str, known: list[str]) -> str | None:
     return next(iter(difflib.get_close_matches(word, alike, n=1, cutoff=SLIP_LIKENESS)), None)
 
 
-def says_less(error: dict) -> bool:
+def says_less(error: ErrorDetails) -> bool:
     """Whether this is the 'rest' half of "'rest' or a number": the other half's message names both."""
     return str(error["loc"][-1]).startswith("literal[")
 
@@ -94,7 +95,7 @@ def _arms(field) -> dict[str, type[BaseModel]]:
     }
 
 
-def _accepted(field, error: dict) -> str:
+def _accepted(field, error: ErrorDetails) -> str:
     """Accepted type, range or values and unit of a field, in words."""
     kind, unit = error["type"], (getattr(field, "json_schema_extra", None) or {}).get("unit")
     if kind == "string_pattern_mismatch":

@@ -1,6 +1,7 @@
 """What a person at a terminal sees of a run: banner, progress, closing table. Plain lines when not a terminal."""
 
 import time
+from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -15,7 +16,7 @@ PROGRESS = {
 }
 
 # No markup: "[s]" is a unit here, and a path may hold brackets; no emoji: nor is ":s:" one.
-PLAIN = {"highlight": False, "soft_wrap": True, "markup": False, "emoji": False}
+PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False, "emoji": False}
 out = Console(**PLAIN)
 err = Console(stderr=True, **PLAIN)
 

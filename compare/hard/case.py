@@ -3,6 +3,7 @@
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
 from mpm.errors import NumericalError, SceneError
 
@@ -55,7 +56,8 @@ def judge(case: Case) -> list[dict]:
     Outcome: "stable" within its limit, "degraded" beyond it, "refused" where the solver stopped with a named error,
     whose text is then the note.
     """
-    rows, started = [], time.perf_counter()
+    rows: list[dict[str, Any]] = []
+    started = time.perf_counter()
     try:
         for one in case.run():
             outcome = "stable" if one.stable else "degraded"
