@@ -32,9 +32,9 @@ POINT_STATE = ("x", "v", "tau", "theta", "dilated", "eps_p_eqv")
 class ExplicitSolver:
     """Points and grid of one body on one device.
 
-    Point arrays, all (n,): `x`, `v`, `carry` vec3 [m, m/s], `tau` vec6 [Pa] Kirchhoff stress in order xx, yy, zz, yz,
-    xz, xy, `theta` [-] volume strain that bears pressure, `dilated` [-] plastic volume strain, `eps_p_eqv` [-]. The
-    last two are empty where the material has no use for them.
+    Point arrays, all (n,), also in `arrays` as kernels take them: `x`, `v`, `carry` vec3 [m, m/s], `tau` vec6 [Pa]
+    Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure, `dilated` [-]
+    plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
     """
 
     def __init__(self, body: Body, device="cpu"):
@@ -102,6 +102,9 @@ class ExplicitSolver:
         self.theta = wp.array(self.theta_start, dtype=self.real, device=self.device)
         self.dilated = self._zeros(n if constants.plastic and constants.eta_bar > 0 else 0, self.real)
         self.eps_p_eqv = self._zeros(n if constants.plastic else 0, self.real)
+        self.arrays = k.Points()
+        for name in (*POINT_STATE, "carry"):
+            setattr(self.arrays, name, getattr(self, name))
 
     def _allocate_nodes(self):
         """Node arrays, reused within a step: `node_momentum` holds (m, m v), from the grid update on (m, v_new);
@@ -182,22 +185,20 @@ class ExplicitSolver:
         pencils = k.Pencils()
         pencils.base, pencils.i0, pencils.j0 = self.grid.base, self.grid.i0, self.grid.j0
         setup, walls, pencil_of = self.setup, self.walls, self.grid.pencil_of
-        x, v, carry, tau, theta = self.x, self.v, self.carry, self.tau, self.theta
         momentum, force, mapped, dilation = self.node_momentum, self.node_force, self.node_mapped, self.node_dilation
         ledger, fault, material = self.ledger, self.fault, self.material
-        where, law = (setup, pencils, clock), (setup, material, pencils, clock)
-        plastic = (self.dilated, self.eps_p_eqv, ledger)
+        where, law = (setup, pencils, clock, self.arrays), (setup, material, pencils, clock, self.arrays)
 
         phases = [
             (k.begin_step, 1, (setup, clock, self.speed, fault)),
             (k.clear_grid, nodes, (clock, momentum, force, mapped, dilation)),
-            (k.p2g, n, (*where, x, v, tau, theta, momentum, force)),
+            (k.p2g, n, (*where, momentum, force)),
             (k.update_grid, nodes, (setup, walls, pencils, clock, pencil_of, momentum, force, ledger)),
-            (k.g2p2g, n, (*where, x, v, carry, momentum, force, mapped, ledger, self.speed, fault)),
+            (k.g2p2g, n, (*where, momentum, force, mapped, ledger, self.speed, fault)),
             (k.hold_walls, nodes, (walls, pencils, clock, pencil_of, momentum, mapped)),
-            (k.strain_points, n, (*law, mapped, x, tau, dilation, fault)),
+            (k.strain_points, n, (*law, mapped, dilation, fault)),
             (k.apply_node_law, nodes, (material, clock, momentum, dilation, force)),
-            (k.update_stress, n, (*law, force, carry, x, tau, theta, *plastic)),
+            (k.update_stress, n, (*law, force, ledger)),
         ]
         self._phases = [
             wp.launch(kernel, dim, inputs=list(inputs), device=self.device, record_cmd=True)
@@ -300,8 +301,8 @@ class ExplicitSolver:
         """
         self.energy.zero_()
         k, row = self.k, self.energy
-        points = [self.setup, self.material, self.v, self.tau, row]
-        wp.launch(k.point_energy, self.points, inputs=points, device=self.device)
+        inputs = [self.setup, self.material, self.arrays, row]
+        wp.launch(k.point_energy, self.points, inputs=inputs, device=self.device)
         nodes = [self.node_momentum, self.node_mapped, row]
         wp.launch(k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
         energy, ledger = self.energy.numpy().sum(axis=1), self.ledger.numpy().sum(axis=1)

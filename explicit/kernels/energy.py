@@ -14,10 +14,10 @@ def energy_kernels(real):
     """Return the kernels for `real` (wp.float32 or wp.float64)."""
     types = layout(real)
     name = types.name
-    vec3 = types.vec3
     vec4 = types.vec4
     vec6 = types.vec6
     Setup = types.Setup
+    Points = types.Points
     float64 = wp.float64
     law = drucker_prager(real)
     Material, second_invariant = law.Material, law.second_invariant
@@ -27,17 +27,17 @@ def energy_kernels(real):
     def point_energy(
         setup: Setup,
         material: Material,
-        v: wp.array(dtype=vec3),
-        tau: wp.array(dtype=vec6),
+        points: Points,
         energy: wp.array2d(dtype=float64),
     ):
         """Kinetic energy of the points and elastic energy tau_m^2/(2K) + J2/(2G) per initial volume."""
         p = wp.tid()
-        s = tau[p]
+        s = points.tau[p]
         mean = (s[0] + s[1] + s[2]) / three
         j2 = second_invariant(s - mean * vec6(one, one, one, zero, zero, zero))
+        v = points.v[p]
         elastic = half * (mean * mean / material.bulk + j2 / material.shear) * setup.volume
-        wp.atomic_add(energy, KE_POINTS, p % energy.shape[1], float64(half * setup.mass * wp.dot(v[p], v[p])))
+        wp.atomic_add(energy, KE_POINTS, p % energy.shape[1], float64(half * setup.mass * wp.dot(v, v)))
         wp.atomic_add(energy, E_ELASTIC, p % energy.shape[1], float64(elastic))
 
     @wp.kernel(module=name)

@@ -37,6 +37,22 @@ def layout(real):
     name = f"repose_{real.__name__}"
     wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(name))
     float64 = wp.float64
+    vec3, vec4, vec6 = (wp.types.vector(length, real) for length in (3, 4, 6))
+
+    @wp.struct
+    class Points:
+        """State of the points, each array (n,): positions `x` [m], velocities `v` and those that carry points, `carry`
+        [m/s], Kirchhoff stress `tau` [Pa] in order xx, yy, zz, yz, xz, xy, volume strain `theta` [-] that bears
+        pressure, plastic volume strain `dilated` [-] and `eps_p_eqv` [-]; the last two are empty where the material
+        has no use for them."""
+
+        x: wp.array(dtype=vec3)
+        v: wp.array(dtype=vec3)
+        carry: wp.array(dtype=vec3)
+        tau: wp.array(dtype=vec6)
+        theta: wp.array(dtype=real)
+        dilated: wp.array(dtype=real)
+        eps_p_eqv: wp.array(dtype=real)
 
     @wp.struct
     class Pencils:
@@ -84,10 +100,11 @@ def layout(real):
     return SimpleNamespace(
         name=name,
         node_of=node_of,
-        vec3=wp.types.vector(3, real),
-        vec4=wp.types.vector(4, real),
-        vec6=wp.types.vector(6, real),
+        vec3=vec3,
+        vec4=vec4,
+        vec6=vec6,
         mat33=wp.types.matrix((3, 3), real),
+        Points=Points,
         Pencils=Pencils,
         Walls=Walls,
         Setup=Setup,

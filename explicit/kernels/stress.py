@@ -26,6 +26,7 @@ def stress_kernels(real):
     vec4 = types.vec4
     vec6 = types.vec6
     mat33 = types.mat33
+    Points = types.Points
     Pencils = types.Pencils
     Setup = types.Setup
     node_of = types.node_of
@@ -63,9 +64,8 @@ def stress_kernels(real):
         material: Material,
         pencils: Pencils,
         clock: wp.array(dtype=float64),
+        points: Points,
         node_mapped: wp.array(dtype=vec4),
-        x: wp.array(dtype=vec3),
-        tau: wp.array(dtype=vec6),
         node_dilation: wp.array(dtype=real),
         fault: wp.array(dtype=wp.int32),
     ):
@@ -74,7 +74,7 @@ def stress_kernels(real):
         if dt == zero:
             return
         p = wp.tid()
-        i, j, k, sx, sy, sz, dx, dy, dz = stencil(x[p], setup.inv_cell)
+        i, j, k, sx, sy, sz, dx, dy, dz = stencil(points.x[p], setup.inv_cell)
         none = vec4(zero, zero, zero, zero)
         lx, ly, lz = none, none, none
         for a in range(3):
@@ -101,11 +101,11 @@ def stress_kernels(real):
             growth = zero
         m_d = setup.mass * log_of_one_plus(growth)
         spin = half * vec3(ly[2] - lz[1], lz[0] - lx[2], lx[1] - ly[0])
-        old = tau[p]
+        old = points.tau[p]
         s = rotate(old, spin)
         g2 = two * material.shear
         even = g2 * third * trace + third * (old[0] + old[1] + old[2])
-        tau[p] = vec6(
+        points.tau[p] = vec6(
             s[0] + g2 * lx[0] - even,
             s[1] + g2 * ly[1] - even,
             s[2] + g2 * lz[2] - even,
@@ -149,13 +149,8 @@ def stress_kernels(real):
         material: Material,
         pencils: Pencils,
         clock: wp.array(dtype=float64),
+        points: Points,
         node_law_values: wp.array(dtype=vec4),
-        carry: wp.array(dtype=vec3),
-        x: wp.array(dtype=vec3),
-        tau: wp.array(dtype=vec6),
-        theta: wp.array(dtype=real),
-        dilated: wp.array(dtype=real),
-        eps_p_eqv: wp.array(dtype=real),
         ledger: wp.array2d(dtype=float64),
     ):
         """Mean stress from the nodes, trial deviator returned to the cone; then the point moves."""
@@ -163,32 +158,32 @@ def stress_kernels(real):
         if dt == zero:
             return
         p = wp.tid()
-        xp = x[p]
+        xp = points.x[p]
         i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(xp, setup.inv_cell)
         given = vec4(zero, zero, zero, zero)
         for a in range(3):
             for b in range(3):
                 n = node_of(pencils, i + a, j + b, k)
                 given = add_scaled(sx[a] * sy[b], gather(node_law_values, n, sz), given)
-        grown = theta[p] + given[0]
+        grown = points.theta[p] + given[0]
         mean = given[1]
-        s = tau[p]
+        s = points.tau[p]
         if material.plastic > 0:
             root_j2 = wp.sqrt(second_invariant(s))
             mean, scale, dilation, d_eps, work = return_map(given[1], given[2], root_j2, material)
             s = scale * s
             if d_eps > zero:
-                eps_p_eqv[p] = eps_p_eqv[p] + d_eps
+                points.eps_p_eqv[p] = points.eps_p_eqv[p] + d_eps
                 wp.atomic_add(ledger, WORK_PLASTIC, p & (ledger.shape[1] - 1), float64(work) * float64(setup.volume))
             if dilation > zero:
                 grown = grown - dilation
-                dilated[p] = dilated[p] + dilation
-        theta[p] = grown
+                points.dilated[p] = points.dilated[p] + dilation
+        points.theta[p] = grown
         s[0] = s[0] + mean
         s[1] = s[1] + mean
         s[2] = s[2] + mean
-        tau[p] = s
-        x[p] = xp + dt * carry[p]
+        points.tau[p] = s
+        points.x[p] = xp + dt * points.carry[p]
 
     return SimpleNamespace(
         strain_points=strain_points,

@@ -21,7 +21,7 @@ def transfer_kernels(real):
     name = types.name
     vec3 = types.vec3
     vec4 = types.vec4
-    vec6 = types.vec6
+    Points = types.Points
     Pencils = types.Pencils
     Setup = types.Setup
     node_of = types.node_of
@@ -35,10 +35,7 @@ def transfer_kernels(real):
         setup: Setup,
         pencils: Pencils,
         clock: wp.array(dtype=float64),
-        x: wp.array(dtype=vec3),
-        v: wp.array(dtype=vec3),
-        tau: wp.array(dtype=vec6),
-        theta: wp.array(dtype=real),
+        points: Points,
         node_momentum: wp.array(dtype=vec4),
         node_force: wp.array(dtype=vec4),
     ):
@@ -46,16 +43,15 @@ def transfer_kernels(real):
         if clock[DT] == float64(0.0):
             return
         p = wp.tid()
-        xp = x[p]
-        i, j, k, sx, sy, sz, dx, dy, dz = stencil(xp, setup.inv_cell)
+        i, j, k, sx, sy, sz, dx, dy, dz = stencil(points.x[p], setup.inv_cell)
         m = setup.mass
-        vp = v[p]
+        vp = points.v[p]
         carried = vec4(m, m * vp[0], m * vp[1], m * vp[2])
-        s = -setup.volume * tau[p]
+        s = -setup.volume * points.tau[p]
         force_x = vec4(s[0], s[5], s[4], zero)
         force_y = vec4(s[5], s[1], s[3], zero)
         force_z = vec4(s[4], s[3], s[2], zero)
-        weight = vec4(zero, zero, -m * real(clock[GRAVITY]), m * theta[p])
+        weight = vec4(zero, zero, -m * real(clock[GRAVITY]), m * points.theta[p])
         for a in range(reached(sx)):
             for b in range(reached(sy)):
                 wxy = sx[a] * sy[b]
@@ -72,9 +68,7 @@ def transfer_kernels(real):
         setup: Setup,
         pencils: Pencils,
         clock: wp.array(dtype=float64),
-        x: wp.array(dtype=vec3),
-        v: wp.array(dtype=vec3),
-        carry: wp.array(dtype=vec3),
+        points: Points,
         node_velocity: wp.array(dtype=vec4),
         node_increment: wp.array(dtype=vec4),
         node_mapped: wp.array(dtype=vec4),
@@ -86,8 +80,7 @@ def transfer_kernels(real):
         if clock[DT] == float64(0.0):
             return
         p = wp.tid()
-        xp = x[p]
-        i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(xp, setup.inv_cell)
+        i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(points.x[p], setup.inv_cell)
         moved = vec4(zero, zero, zero, zero)
         gained = vec4(zero, zero, zero, zero)
         for a in range(3):
@@ -96,7 +89,7 @@ def transfer_kernels(real):
                 n = node_of(pencils, i + a, j + b, k)
                 moved = add_scaled(wxy, gather(node_velocity, n, sz), moved)
                 gained = add_scaled(wxy, gather(node_increment, n, sz), gained)
-        vp = v[p] + vec3(gained[0], gained[1], gained[2])
+        vp = points.v[p] + vec3(gained[0], gained[1], gained[2])
         carried = vec3(moved[1], moved[2], moved[3])
         m = setup.mass
         if setup.decay > zero:
@@ -106,8 +99,8 @@ def transfer_kernels(real):
             work = m * (wp.dot(vp, lost) - half * wp.dot(lost, lost))
             wp.atomic_add(ledger, WORK_DECAY, p & (ledger.shape[1] - 1), float64(work))
             vp = vp - lost
-        v[p] = vp
-        carry[p] = carried
+        points.v[p] = vp
+        points.carry[p] = carried
         mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
         for a in range(3):
             for b in range(3):
