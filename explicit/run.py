@@ -8,6 +8,7 @@ import warp as wp
 from explicit.solver import ExplicitSolver
 from mpm.body import Body, build
 from mpm.devices import find_device
+from mpm.domains import world
 from mpm.errors import NumericalError, StepRefused
 from mpm.precheck import refuse
 from mpm.provenance import code_version, provenance
@@ -61,6 +62,15 @@ def resume(directory, device=None, monitor=None) -> dict:
     return this.go(started, monitor)
 
 
+def _solver(body: Body, device):
+    """The solver on the ranks that the program was started on."""
+    if (comm := world()) is None:
+        return ExplicitSolver(body, device)
+    from explicit.ranks import RankedSolver
+
+    return RankedSolver(body, device, comm)
+
+
 class ExplicitRun(Run):
     """A run of the explicit solver: history rows are due at times, and what ends it is judged on them."""
 
@@ -68,7 +78,7 @@ class ExplicitRun(Run):
     COUNTERS = ("rows", "peak_ke", "peak_work", "e0")
 
     def __init__(self, body: Body, results: Results, device):
-        super().__init__(body, results, ExplicitSolver(body, device))
+        super().__init__(body, results, _solver(body, device))
         scene = body.scene
         self.device, self.precision = self.solver.device.alias, scene.explicit.precision
         until = scene.explicit.until

@@ -27,6 +27,7 @@ STEPS_PER_GRAPH = 10
 MOST_STEPS = 200
 LEDGER_COLUMNS_CUDA = 256  # a power of two: points find theirs with a mask
 POINT_STATE = ("x", "v", "tau", "theta", "dilated", "eps_p_eqv")
+POINT_ARRAYS = (*POINT_STATE, "carry")
 
 
 class ExplicitSolver:
@@ -36,6 +37,8 @@ class ExplicitSolver:
     Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure, `dilated` [-]
     plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
     """
+
+    ids: np.ndarray | None = None  # numbers of the points in the whole body, where these are a part of it
 
     def __init__(self, body: Body, device="cpu"):
         settings = body.scene.explicit
@@ -92,7 +95,7 @@ class ExplicitSolver:
         self.x = wp.array(body.x, dtype=k.vec3, device=self.device)
         self.v = self._zeros(n, k.vec3)
         self.carry = self._zeros(n, k.vec3)
-        strain = geostatic_strain(body) if body.scene.loads.initial_stress == "geostatic" else np.zeros((n, 3))
+        strain = self._initial_strain(body)
         self.theta_start = strain.sum(axis=1)
         stress = np.zeros((n, 6))
         constants = body.constants
@@ -102,8 +105,16 @@ class ExplicitSolver:
         self.theta = wp.array(self.theta_start, dtype=self.real, device=self.device)
         self.dilated = self._zeros(n if constants.plastic and constants.eta_bar > 0 else 0, self.real)
         self.eps_p_eqv = self._zeros(n if constants.plastic else 0, self.real)
-        self.arrays = k.Points()
-        for name in (*POINT_STATE, "carry"):
+        self._pack_points()
+
+    @staticmethod
+    def _initial_strain(body) -> np.ndarray:
+        """Principal Hencky strains (n, 3) that the points start with."""
+        return geostatic_strain(body) if body.scene.loads.initial_stress == "geostatic" else np.zeros((len(body.x), 3))
+
+    def _pack_points(self):
+        self.arrays = self.k.Points()
+        for name in POINT_ARRAYS:
             setattr(self.arrays, name, getattr(self, name))
 
     def _allocate_nodes(self):
@@ -115,6 +126,7 @@ class ExplicitSolver:
         self.node_force = self._zeros(nodes, k.vec4)
         self.node_mapped = self._zeros(nodes, k.vec4)
         self.node_dilation = self._zeros(nodes, self.real)
+        self.counted = self._zeros(0, wp.int32)  # empty: sums over nodes count all of them (see `explicit.ranks`)
 
     def _zeros(self, shape, dtype):
         return wp.zeros(shape, dtype=dtype, device=self.device)
@@ -193,7 +205,7 @@ class ExplicitSolver:
             (k.begin_step, 1, (setup, clock, self.speed, fault)),
             (k.clear_grid, nodes, (clock, momentum, force, mapped, dilation)),
             (k.p2g, n, (*where, momentum, force)),
-            (k.update_grid, nodes, (setup, walls, pencils, clock, pencil_of, momentum, force, ledger)),
+            (k.update_grid, nodes, (setup, walls, pencils, clock, pencil_of, momentum, force, self.counted, ledger)),
             (k.g2p2g, n, (*where, momentum, force, mapped, ledger, self.speed, fault)),
             (k.hold_walls, nodes, (walls, pencils, clock, pencil_of, momentum, mapped)),
             (k.strain_points, n, (*law, mapped, dilation, fault)),
@@ -203,6 +215,7 @@ class ExplicitSolver:
         self._phases = [
             wp.launch(kernel, dim, inputs=list(inputs), device=self.device, record_cmd=True)
             for kernel, dim, inputs in phases
+            if dim > 0
         ]
         self._graph = None
 
@@ -274,9 +287,14 @@ class ExplicitSolver:
             self.step()
 
     def _check(self):
+        if fault := self._fault():
+            raise fault
+
+    def _fault(self) -> NumericalError | None:
+        """What the kernels reported, in words."""
         fault = self.fault.numpy()
         if not fault.any():
-            return
+            return None
         where = f"at t = {self.time:.6g} s, step {self.steps}"
         troubles = {
             K.NOT_FINITE: "its velocity is not finite",
@@ -287,11 +305,12 @@ class ExplicitSolver:
         for kind, what in troubles.items():
             if fault[kind]:
                 point = int(fault[kind]) - 1
+                number = point if self.ids is None else int(self.ids[point])
                 x, v = (np.array2string(a.numpy()[point], precision=4) for a in (self.x, self.v))
-                raise NumericalError(
-                    f"diverged {where}, point {point}: {what} (x = {x} m, v = {v} m/s, dt = {self.time_step:.3g} s)"
+                return NumericalError(
+                    f"diverged {where}, point {number}: {what} (x = {x} m, v = {v} m/s, dt = {self.time_step:.3g} s)"
                 )
-        raise StepRefused(f"time step refused {where}: {over_courant(self.setup.fixed_dt, self.courant_limit)}")
+        return StepRefused(f"time step refused {where}: {over_courant(self.setup.fixed_dt, self.courant_limit)}")
 
     def energies(self) -> dict[str, float]:
         """Energies and time integrals of power [J], with the grid as the last step left it.
@@ -303,7 +322,7 @@ class ExplicitSolver:
         k, row = self.k, self.energy
         inputs = [self.setup, self.material, self.arrays, row]
         wp.launch(k.point_energy, self.points, inputs=inputs, device=self.device)
-        nodes = [self.node_momentum, self.node_mapped, row]
+        nodes = [self.node_momentum, self.node_mapped, self.counted, row]
         wp.launch(k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
         energy, ledger = self.energy.numpy().sum(axis=1), self.ledger.numpy().sum(axis=1)
         return {
@@ -318,7 +337,8 @@ class ExplicitSolver:
 
     def grid_mass(self) -> float:
         """Mass [kg] that the last step put on the grid."""
-        return float(self.node_momentum.numpy()[:, 0].astype(np.float64).sum())
+        mass = self.node_momentum.numpy()[:, 0].astype(np.float64)
+        return float((mass * self.counted.numpy() if self.counted.size else mass).sum())
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything a restart needs, as host arrays; `restore` takes it back to the bit."""

@@ -35,6 +35,8 @@ class SparseGrid:
 
     def follow(self, x: wp.array) -> bool:
         """Store the nodes that points `x` (n,) vec3 [m] need. True when arrays were made anew."""
+        if not x.shape[0]:
+            return self._store_nothing()
         renewed = self._fit_window(x)
         k, spans = self.kernels, [self.low, self.high]
         self._launch(k.clear_spans, self.shape, spans)
@@ -56,6 +58,22 @@ class SparseGrid:
         with `slack` [cells] one that is farther than that from the plan window."""
         where = [x, self.real(self.inv_cell), self.i0, self.j0, self.first, self.count, slack]
         self._launch(self.kernels.find_strays, x.shape[0], [*where, fault])
+
+    def pencils(self) -> np.ndarray:
+        """The stored pencils (m, 5), by i, then j: i, j, first k, last k + 1 and the number of node `first k`."""
+        first, count, base = (array.numpy() for array in (self.first, self.count, self.base))
+        i, j = np.nonzero(count > 0)
+        low = first[i, j]
+        return np.stack([i + self.i0, j + self.j0, low, low + count[i, j], base[i, j] + low], axis=1).astype(int)
+
+    def _store_nothing(self) -> bool:
+        """Tables of one pencil without nodes, for a rank that has no points."""
+        self.i0 = self.j0 = self.stored = self.capacity = 0
+        self.shape = (1, 1)
+        for name in ("low", "high", "first", "count", "base"):
+            setattr(self, name, wp.zeros(self.shape, dtype=wp.int32, device=self.device))
+        self.pencil_of = wp.zeros(0, dtype=wp.int32, device=self.device)
+        return True
 
     def _fit_window(self, x) -> bool:
         start = np.array([EMPTY, EMPTY, -EMPTY, -EMPTY], dtype=np.int32)

@@ -310,7 +310,7 @@ def _deferred_interrupt():
 
     previous = {}
     with suppress(ValueError):  # not the main thread: leave signals alone
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):  # the last by way of a launcher of ranks
             previous[number] = signal.signal(number, ask)
     try:
         yield flag

@@ -12,6 +12,7 @@ import typer
 from rich.table import Table
 
 from compare.cli.options import SpacedNumbers, SpacedWords
+from compare.cli.ranks import spread, started, take_part
 from compare.cli.terminal import BatchMonitor, Monitor, announce, err, out, summary_table
 from compare.solvers import runs_of
 from mpm.caches import announce_compilation
@@ -61,6 +62,7 @@ SetOption = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help
 DeviceOption = Annotated[str, typer.Option(help="cpu or cuda:0, cuda:1, ...")]
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR")]
 AgainOption = Annotated[bool, typer.Option("--force", help="run again what is there, replace another report in DIR")]
+RanksOption = Annotated[str, typer.Option("--ranks", metavar="N|all", help="MPI ranks; all: one a core (explicit)")]
 JobsOption = Annotated[int, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
 DirArg = Annotated[Path, typer.Argument(metavar="DIR", help="folder of a run")]
 
@@ -88,10 +90,12 @@ def run(
     set_: SetOption = [],  # noqa: B006 (typer reads the default, nothing mutates it)
     directory: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="default: runs/SCENE-MODE")] = None,
     force: Annotated[bool, typer.Option("--force", help="replace an earlier run in DIR")] = False,
+    ranks: RanksOption = "1",
 ):
     """Run a scene: writes DIR/results.h5, DIR/summary.json and DIR/vtk for ParaView."""
     from mpm.load import load_scene
 
+    spread(ranks, mode.value)
     validated = load_scene(scene, set_)
     solver = runs_of(mode.value)
     directory = directory or Path("runs") / f"{validated.name}-{mode.value}"
@@ -102,11 +106,14 @@ def run(
 def resume(
     directory: DirArg,
     device: Annotated[str | None, typer.Option(help="default: the device the run was started on")] = None,
+    ranks: RanksOption = "1",
 ):
-    """Go on with a run from its last checkpoint."""
+    """Go on with a run from its last checkpoint, on as many ranks as you like."""
     from mpm.results import Results
 
-    solver = runs_of(str(Results.open(directory).provenance.get("mode", Mode.explicit.value)))
+    mode = str(Results.open(directory).provenance.get("mode", Mode.explicit.value))
+    spread(ranks, mode)
+    solver = runs_of(mode)
     _follow(directory, solver.resume, directory, device, Monitor())
 
 
@@ -412,7 +419,15 @@ def _table1(body) -> Table:
 
 
 def main():
-    """Entry point. Exit codes: 0 done, 1 disk or memory failed, 2 bad input, 3 numerical failure, 130 Ctrl-C."""
+    """Entry point, of each rank where there are several (see `compare.cli.ranks`)."""
+    if started():
+        take_part(_main)
+    else:
+        _main()
+
+
+def _main():
+    """Exit codes: 0 done, 1 disk or memory failed, 2 bad input, 3 numerical failure, 130 Ctrl-C."""
     try:
         announce_compilation()
         app(prog_name="repose")  # however it was started: the shell completes that name

@@ -44,10 +44,14 @@ def energy_kernels(real):
     def grid_energy(
         node_velocity: wp.array(dtype=vec4),
         node_mapped: wp.array(dtype=vec4),
+        counted: wp.array(dtype=wp.int32),
         energy: wp.array2d(dtype=float64),
     ):
         """Kinetic energy of the grid with the velocities of the second mapping."""
         n = wp.tid()
+        if counted.shape[0] > 0:  # noqa: SIM102 (Warp would read counted[n] all the same)
+            if counted[n] == 0:
+                return
         v = node_mapped[n]
         wp.atomic_add(energy, KE_GRID, n % energy.shape[1], float64(half * node_velocity[n][0] * wp.dot(v, v)))
 

@@ -81,6 +81,7 @@ def grid_kernels(real):
         pencil_of: wp.array(dtype=wp.int32),
         node_momentum: wp.array(dtype=vec4),
         node_force: wp.array(dtype=vec4),
+        counted: wp.array(dtype=wp.int32),
         ledger: wp.array2d(dtype=float64),
     ):
         """Momentum and force in; (m, v_new) and the velocity increment dt a out, beside it m theta as it was."""
@@ -104,6 +105,9 @@ def grid_kernels(real):
             v_new = v + dv
             node_momentum[n] = vec4(m, v_new[0], v_new[1], v_new[2])
             node_force[n] = vec4(dv[0], dv[1], dv[2], node_force[n][3])
+            if counted.shape[0] > 0:  # noqa: SIM102 (Warp would read counted[n] all the same)
+                if counted[n] == 0:
+                    return
             lifted = -m * real(clock[GRAVITY]) * v_new[2] * dt
             wp.atomic_add(ledger, WORK_EXTERNAL, n % ledger.shape[1], float64(lifted))
             if setup.damping > zero:

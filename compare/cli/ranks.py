@@ -1,0 +1,122 @@
+"""Starting the program on several MPI ranks, and what a rank is to do when it was."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import typer
+
+from compare.cli.terminal import err
+from mpm.domains import SIZES, world
+from mpm.errors import SceneError
+
+RULE = "-----"  # starts the lines between which a launcher speaks of itself
+
+
+def spread(ranks: str, mode: str):
+    """Start this command on `ranks` ("all": a rank a core) and exit as it does; return where that is one, or where it
+    was. Raises SceneError for what is no number of ranks, an implicit run and where there is no MPI."""
+    if started():
+        _refuse_implicit(mode)
+        return
+    count = _cores() if ranks == "all" else int(ranks) if ranks.isdecimal() else 0
+    if count < 1:
+        raise SceneError(f"--ranks {ranks}: must be a number of MPI ranks, 1 or more, or 'all'")
+    if count > 1:
+        _refuse_implicit(mode)
+        raise typer.Exit(start(count))
+
+
+def _refuse_implicit(mode: str):
+    if mode == "implicit":
+        raise SceneError("--ranks: the implicit solver runs on one rank")
+
+
+def _cores() -> int:
+    """Physical cores of this machine, as far as the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        lines = []
+    named = [line.partition(":")[2] for line in lines if line.startswith(("physical id", "core id"))]
+    return len(set(zip(named[::2], named[1::2], strict=False))) or os.cpu_count() or 1
+
+
+def start(ranks: int) -> int:
+    """Start this very command on so many ranks and wait; its exit code. Ctrl-C is handed on, so that a checkpoint is
+    saved. Raises SceneError where there is no MPI."""
+    given = iter(sys.argv[1:])
+    words = [word for word in given if word != "--ranks" or next(given) is None]
+    program = (sys.executable, "-c", "from compare.cli.main import main; main()", *words)
+    process = subprocess.Popen(
+        [*_launcher(), "-n", str(ranks), *program],
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,  # Ctrl-C reaches this process alone
+        env=os.environ | {"OMP_NUM_THREADS": "1"},
+    )
+    reader = threading.Thread(target=_repeat, args=(process.stderr,))
+    reader.start()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: process.send_signal(signal.SIGUSR1))
+    code = process.wait()
+    reader.join()
+    if code > 128 or code < 0:
+        err.print(f"a rank was killed (exit code {code}): all have stopped; `resume` goes on from the last checkpoint")
+    return code
+
+
+def _launcher() -> list[str]:
+    """How the MPI that mpi4py was built for starts ranks."""
+    try:
+        from mpi4py import MPI
+    except ImportError as error:
+        raise SceneError("--ranks needs mpi4py and an MPI, which come with dolfinx: see `repose info`") from error
+    beside = Path(sys.executable).with_name("mpiexec")  # a wheel's MPI lies beside Python
+    found = str(beside) if beside.is_file() else shutil.which("mpiexec")
+    if found is None:
+        raise SceneError("--ranks: there is no mpiexec in PATH")
+    if "Open MPI" not in MPI.Get_library_version():
+        return [found]
+    as_root = ["--allow-run-as-root"] if os.geteuid() == 0 else []
+    return [found, *as_root, "--oversubscribe", "--quiet"]
+
+
+def _repeat(stream):
+    """What ranks say on standard error, without what the launcher says of itself between two rules."""
+    quoting = False
+    for line in stream:
+        if line.startswith(RULE):
+            quoting = not quoting
+        elif not quoting:
+            sys.stderr.write(line)
+            sys.stderr.flush()
+
+
+def started() -> bool:
+    """Whether this process is one of several ranks."""
+    return any(int(os.environ.get(name, "1")) > 1 for name in SIZES)
+
+
+def take_part(main):
+    """Call `main` on the first of the ranks and let the others serve it."""
+    from explicit.ranks import dismiss, serve
+
+    comm = world()
+    if comm.rank == 0:
+        try:
+            main()
+        finally:
+            dismiss(comm)
+        return
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGUSR1):
+        signal.signal(number, signal.SIG_IGN)  # the first rank decides
+    try:
+        serve(comm)
+    except BaseException as error:
+        print(f"error: rank {comm.rank}: {error or type(error).__name__}", file=sys.stderr, flush=True)
+        comm.Abort(1)

@@ -1,0 +1,165 @@
+"""The explicit solver on several MPI ranks: the same run as on one, and what ends one rank ends all."""
+
+import importlib.util
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+import repose
+from mpm.results import CHECKPOINT, Results
+
+if importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None:
+    pytest.skip("no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)", allow_module_level=True)
+
+PROGRAM = (sys.executable, "-c", "from compare.cli.main import main; main()")
+LONGEST = 120  # seconds: nothing hangs
+SHORT = ("--set", "explicit.until=0.3", "--set", "output.every=0.1", "--set", "output.vtk=false")
+
+
+def command(*words, code=0):
+    """Run the command line; its standard error."""
+    done = subprocess.run([*PROGRAM, *map(str, words)], capture_output=True, text=True, timeout=LONGEST)
+    assert done.returncode == code, done.stderr
+    return done.stderr
+
+
+def state(folder):
+    return Results.open(folder).read_checkpoint()
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("alone") / "run"
+    command("run", "column_small", *SHORT, "--out", folder)
+    return folder
+
+
+@pytest.mark.parametrize("ranks", [2, 3, 4])
+def test_a_run_on_several_ranks_is_the_run_on_one(alone, tmp_path, ranks):
+    """Points cross the cuts, which a quarter column has along its axis: positions to round-off, sums as well."""
+    command("run", "column_small", *SHORT, "--out", tmp_path / "run", "--ranks", ranks)
+    one, many = state(alone), state(tmp_path / "run")
+    np.testing.assert_allclose(many["x"], one["x"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(many["tau"], one["tau"], rtol=0, atol=1e-6 * np.abs(one["tau"]).max())
+    a, b = (Results.open(folder).history() for folder in (alone, tmp_path / "run"))
+    for name in ("W_ext", "W_damping", "W_plastic", "KE_grid", "KE_points", "E_elastic", "R_995"):
+        np.testing.assert_allclose(b[name], a[name], rtol=1e-9, atol=1e-9 * a["W_ext"][-1], err_msg=name)
+    assert Results.open(tmp_path / "run").summary()["mass_error"] < 1e-12
+
+
+def test_the_same_ranks_give_the_same_bits(tmp_path):
+    for name in ("first", "second"):
+        command("run", "column_small", *SHORT, "--out", tmp_path / name, "--ranks", 3)
+    one, other = state(tmp_path / "first"), state(tmp_path / "second")
+    for name in ("x", "v", "tau", "theta", "ledger"):
+        np.testing.assert_array_equal(one[name], other[name])
+
+
+def test_ranks_without_points_and_walls_on_every_side(tmp_path):
+    """A bar two cells wide has fewer pencils than four ranks can share."""
+    for name, ranks in (("one", 1), ("four", 4)):
+        settings = ("--set", "explicit.until=0.05", "--set", "grid.cell=0.1", "--set", "output.vtk=false")
+        command("run", "elastic_bar", *settings, "--out", tmp_path / name, "--ranks", ranks)
+    np.testing.assert_allclose(state(tmp_path / "four")["x"], state(tmp_path / "one")["x"], rtol=0, atol=1e-12)
+
+
+def test_ctrl_c_saves_a_checkpoint_from_which_any_number_of_ranks_goes_on(alone, tmp_path):
+    folder = tmp_path / "run"
+    long = ("--set", "explicit.until=6.0", "--set", "output.every=0.05", "--set", "output.vtk=false")
+    process = subprocess.Popen(
+        [*PROGRAM, "run", "column_small", *long, "--out", str(folder), "--ranks", "2"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    wait_for(lambda: snapshots(folder) > 2, process)
+    process.send_signal(signal.SIGINT)
+    said = process.communicate(timeout=LONGEST)[1]
+    assert process.returncode == 130, said
+    assert "goes on" in said and "-----" not in said
+    reached = float(state(folder)["clock"][0])
+    assert 0.1 < reached < 6.0
+
+    # The rest of a short run on three ranks, from there: as one rank would have it.
+    one, three = tmp_path / "one", tmp_path / "three"
+    for target, ranks in ((one, 1), (three, 3)):
+        shutil.copytree(folder, target)
+        process = subprocess.Popen([*PROGRAM, "resume", str(target), "--ranks", str(ranks)], stdout=subprocess.DEVNULL)
+        wait_for(lambda target=target: float(state(target)["clock"][0]) > reached, process)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=LONGEST) == 130
+    a, b = (Results.open(target).history() for target in (one, three))
+    common = min(len(a["time"]), len(b["time"]))
+    np.testing.assert_allclose(a["R_995"][:common], b["R_995"][:common], rtol=0, atol=1e-9)
+
+
+def test_a_killed_rank_ends_all_and_the_checkpoint_is_whole(tmp_path):
+    folder = tmp_path / "run"
+    long = ("--set", "explicit.until=6.0", "--set", "output.every=0.05", "--set", "output.vtk=false")
+    process = subprocess.Popen(
+        [*PROGRAM, "run", "column_small", *long, "--out", str(folder), "--ranks", "3"],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    wait_for(lambda: snapshots(folder) > 2, process)
+    os.kill(ranks_of(process)[-1], signal.SIGKILL)
+    said = process.communicate(timeout=LONGEST)[1]
+    assert process.returncode != 0
+    assert "a rank was killed" in said and "resume" in said
+    assert np.isfinite(state(folder)["x"]).all()
+
+
+def test_a_divergence_is_told_once_with_the_points_number_in_the_whole_body(tmp_path):
+    settings = (
+        "--set",
+        "explicit.time_step=0.00099",
+        "--set",
+        "material.cohesion=0.0",
+        "--set",
+        "loads.gravity=2000.0",
+    )
+    said = command("run", "column_small", *settings, "--out", tmp_path / "run", "--ranks", 2, code=3)
+    assert said.count("numerical failure") == 1
+    assert "last good state" in said
+
+
+def test_bad_input_is_told_once(tmp_path):
+    assert command("run", "column_small", "--set", "grid.cell=-1", "--ranks", 2, code=2).count("error:") == 1
+    for ranks in ("0", "two", "-1"):
+        assert "must be a number" in command("run", "column_small", "--ranks", ranks, code=2)
+    assert "implicit" in command("run", "column_small", "--mode", "implicit", "--ranks", 2, code=2)
+
+
+def snapshots(folder) -> int:
+    try:
+        return Results.open(folder).snapshot_count if (folder / CHECKPOINT).is_file() else 0
+    except repose.SceneError:  # in the middle of a write
+        return 0
+
+
+def wait_for(happened, process):
+    started = time.monotonic()
+    while not happened():
+        assert process.poll() is None, process.stderr and process.stderr.read()
+        assert time.monotonic() - started < LONGEST
+        time.sleep(0.05)
+
+
+def ranks_of(process) -> list[int]:
+    """Process numbers of the ranks that `process` has started."""
+    below = {}
+    for path in os.listdir("/proc"):
+        if path.isdecimal():
+            try:
+                with open(f"/proc/{path}/stat") as file:
+                    below.setdefault(int(file.read().rpartition(")")[2].split()[1]), []).append(int(path))
+            except OSError:
+                continue
+    return sorted(rank for launcher in below[process.pid] for rank in below.get(launcher, []))
