@@ -7,6 +7,7 @@ points, so that a run is judged, written and restarted as on one rank, and on an
 """
 
 import sys
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 
@@ -20,6 +21,7 @@ from mpm.body import Body
 from mpm.devices import find_device
 from mpm.domains import UNEVEN, Halo, cut_plan, histogram, migrate, owner_of
 from mpm.errors import NumericalError
+from mpm.geostatic import initial_strain
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 
 
@@ -28,16 +30,21 @@ class Domain(ExplicitSolver):
 
     def __init__(self, body: Body, device, comm):
         self.comm, self.whole, self.halo = comm, body, None
-        columns = self.columns(body.x)
-        self.cut = cut_plan(*np.unique(columns, axis=0, return_counts=True), comm.size)
-        self.ids = np.flatnonzero(owner_of(columns, self.cut) == comm.rank)
+        self.ids = self.cut_anew(body.x)
         super().__init__(replace(body, x=body.x[self.ids]), device)
 
     def columns(self, x) -> np.ndarray:
         """The pencils (n, 2) at which the stencils of points `x` (n, 3) [m] start."""
         return np.floor(x[:, :2] / self.whole.scene.grid.cell - HALF_LENGTH_IN_CELLS).astype(int)
 
-    def _initial_strain(self, _body) -> np.ndarray:
+    def cut_anew(self, x) -> np.ndarray:
+        """Cut the plan for points `x` (n, 3) [m] of the whole body; the numbers of those that are this rank's."""
+        columns = self.columns(x)
+        held, points = np.unique(columns, axis=0, return_counts=True)
+        self.cut = cut_plan(held, points, self.comm.size)
+        return np.flatnonzero(owner_of(columns, self.cut) == self.comm.rank)
+
+    def _initial_strain(self, body) -> np.ndarray:
         return super()._initial_strain(self.whole)[self.ids]
 
     def fit_grid(self):
@@ -129,9 +136,7 @@ def _gathered(domain: Domain, name: str) -> np.ndarray | None:
 
 def _restored(domain: Domain, state: dict[str, np.ndarray]):
     """Take this rank's part of a state of the whole body."""
-    columns = domain.columns(state["x"])
-    domain.cut = cut_plan(*np.unique(columns, axis=0, return_counts=True), domain.comm.size)
-    mine = np.flatnonzero(owner_of(columns, domain.cut) == domain.comm.rank)
+    mine = domain.cut_anew(state["x"])
     rows = {name: state[name][mine] for name in domain.held if name != "carry"}
     domain.take(rows | {"carry": np.zeros_like(rows["v"]), "id": mine})
     spare = {name: state[name][:0] for name in POINT_STATE}
@@ -140,7 +145,7 @@ def _restored(domain: Domain, state: dict[str, np.ndarray]):
 
 
 # What the first rank can ask of all: each is called with the rank's domain and the arguments that it sends.
-ORDERS = {
+ORDERS: dict[str, Callable] = {
     "advance": lambda domain, until: domain.advance(until),
     "set_target": lambda domain, target: domain.set_target(target),
     "gathered": _gathered,
@@ -212,7 +217,7 @@ class RankedSolver:
         self.body, self.comm, self.points = body, comm, len(body.x)
         comm.bcast((BUILD, (body, device.alias)))
         self.domain = Domain(body, device, comm)
-        self.theta_start = ExplicitSolver._initial_strain(body).sum(axis=1)
+        self.theta_start = initial_strain(body).sum(axis=1)
         for name in POINT_STATE:
             setattr(self, name, Gathered(self, name))
         self.nodes_stored_start = self.nodes_stored_max = sum(self.ask("stored"))

@@ -16,7 +16,7 @@ from explicit.kernels.sparse_grid import MARGIN
 from explicit.sparse_grid import SparseGrid
 from mpm.body import Body
 from mpm.errors import NumericalError, StepRefused
-from mpm.geostatic import geostatic_strain
+from mpm.geostatic import initial_strain
 from mpm.precheck import over_courant
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
@@ -107,10 +107,8 @@ class ExplicitSolver:
         self.eps_p_eqv = self._zeros(n if constants.plastic else 0, self.real)
         self._pack_points()
 
-    @staticmethod
-    def _initial_strain(body) -> np.ndarray:
-        """Principal Hencky strains (n, 3) that the points start with."""
-        return geostatic_strain(body) if body.scene.loads.initial_stress == "geostatic" else np.zeros((len(body.x), 3))
+    def _initial_strain(self, body) -> np.ndarray:
+        return initial_strain(body)
 
     def _pack_points(self):
         self.arrays = self.k.Points()

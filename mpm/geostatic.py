@@ -5,6 +5,11 @@ import numpy as np
 from mpm.body import Body
 
 
+def initial_strain(body: Body) -> np.ndarray:
+    """Principal Hencky strains (n, 3) that the points of an explicit run start with: none, or the geostatic ones."""
+    return geostatic_strain(body) if body.scene.loads.initial_stress == "geostatic" else np.zeros((len(body.x), 3))
+
+
 def geostatic_strain(body: Body) -> np.ndarray:
     """Principal Hencky strains (n, 3) along x, y, z of the K0 state: sigma_zz = -rho g depth, sigma_xx = sigma_yy =
     nu/(1 - nu) sigma_zz, with the depth below the highest point of the same column of points.
