@@ -1,5 +1,6 @@
 """Starting the program on several MPI ranks, and what a rank is to do when it was."""
 
+import importlib.util
 import os
 import shutil
 import signal
@@ -12,8 +13,15 @@ import typer
 
 from compare.cli.terminal import err
 from mpm.domains import SIZES, world
-from mpm.errors import SceneError
+from mpm.errors import INTERRUPTED, NumericalError, SceneError
 
+# Open MPI 4 and 5 start more ranks than cores, and root's, only when told to; other MPIs do not read these.
+OPEN_MPI = {
+    "OMPI_MCA_rmaps_base_oversubscribe": "1",
+    "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe",
+    "OMPI_ALLOW_RUN_AS_ROOT": "1",
+    "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
+}
 RULE = "-----"  # starts the lines between which a launcher speaks of itself
 
 
@@ -53,11 +61,11 @@ def start(ranks: int) -> int:
     words = [word for word in given if word != "--ranks" or next(given) is None]
     program = (sys.executable, "-c", "from compare.cli.main import main; main()", *words)
     process = subprocess.Popen(
-        [*_launcher(), "-n", str(ranks), *program],
+        [_launcher(), "-n", str(ranks), *program],
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,  # Ctrl-C reaches this process alone
-        env=os.environ | {"OMP_NUM_THREADS": "1"},
+        env=os.environ | {"OMP_NUM_THREADS": "1"} | OPEN_MPI,
     )
     reader = threading.Thread(target=_repeat, args=(process.stderr,))
     reader.start()
@@ -65,25 +73,20 @@ def start(ranks: int) -> int:
         signal.signal(number, lambda *_: process.send_signal(signal.SIGUSR1))
     code = process.wait()
     reader.join()
-    if code > 128 or code < 0:
+    if code not in (0, 1, SceneError.exit_code, NumericalError.exit_code, INTERRUPTED):
         err.print(f"a rank was killed (exit code {code}): all have stopped; `resume` goes on from the last checkpoint")
     return code
 
 
-def _launcher() -> list[str]:
-    """How the MPI that mpi4py was built for starts ranks."""
-    try:
-        from mpi4py import MPI
-    except ImportError as error:
-        raise SceneError("--ranks needs mpi4py and an MPI, which come with dolfinx: see `repose info`") from error
+def _launcher() -> str:
+    """What starts ranks of the MPI that mpi4py was built for. Raises SceneError where that is missing."""
+    if importlib.util.find_spec("mpi4py") is None:
+        raise SceneError("--ranks needs mpi4py and an MPI, which come with dolfinx: see `repose info`")
     beside = Path(sys.executable).with_name("mpiexec")  # a wheel's MPI lies beside Python
     found = str(beside) if beside.is_file() else shutil.which("mpiexec")
     if found is None:
         raise SceneError("--ranks: there is no mpiexec in PATH")
-    if "Open MPI" not in MPI.Get_library_version():
-        return [found]
-    as_root = ["--allow-run-as-root"] if os.geteuid() == 0 else []
-    return [found, *as_root, "--oversubscribe", "--quiet"]
+    return found
 
 
 def _repeat(stream):

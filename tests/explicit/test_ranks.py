@@ -84,7 +84,7 @@ def test_ctrl_c_saves_a_checkpoint_from_which_any_number_of_ranks_goes_on(alone,
     assert process.returncode == 130, said
     assert "goes on" in said and "-----" not in said
     reached = float(state(folder)["clock"][0])
-    assert 0.1 < reached < 6.0
+    assert 0.05 < reached < 6.0
 
     # The rest of a short run on three ranks, from there: as one rank would have it.
     one, three = tmp_path / "one", tmp_path / "three"
