@@ -79,7 +79,7 @@ def compare_solvers(directory: Path, force, monitor, command: str, reference: st
     checks = quasistatic_checks(outcomes, deposits, distances, collapsed)
     runs = runs_table(outcomes, labels, deposits)
     sections = [
-        _agreement(outcomes, labels, runs, distances, directory),
+        _agreement(outcomes, runs, distances),
         _shape(fine, directory),
         _way_to_rest(fine, directory),
         _cost(outcomes, labels, directory),
@@ -93,9 +93,11 @@ def compare_solvers(directory: Path, force, monitor, command: str, reference: st
     return {
         "about": about_what,
         "title": f"{scene.name}: implicit against explicit and theory",
-        "lead": f"Quasistatic collapse of one scene by the implicit solver and by the explicit one with local damping "
+        "lead": _finding(outcomes, labels)
+        + f"Quasistatic collapse of one scene by the implicit solver and by the explicit one with local damping "
         f"D = {DAMPING}, cell size {scene.grid.cell:g} m; theory is Eq. 4 of Wyser et al. (2023) with the angle of "
         "friction.",
+        "opening": _profiles(outcomes, labels, directory),
         "verdict": verdict(checks),
         "checks": checks,
         "sections": [section for section in sections if section],
@@ -137,8 +139,27 @@ def _distances(fine: dict[str, Outcome], scene: Scene) -> dict[str, float]:
     return found
 
 
-def _agreement(outcomes, labels, runs, distances, directory) -> dict:
+def _finding(outcomes, labels) -> str:
+    """What came out, in a sentence: run-outs of the runs on the scene's own grid, and of Eq. 4."""
+    run_outs = [
+        f"{one.summary['R_995']:.2f} ({label})" for one, label in zip(outcomes[:2], labels[:2], strict=True) if one.done
+    ]
+    if known := theory(outcomes[0].job.scene)["eq4"]:
+        run_outs.append(f"{known:.2f} (Eq. 4)")
+    return f"99.5 % of the mass comes to rest within this many first radii of where it stood: {', '.join(run_outs)}. "
+
+
+def _profiles(outcomes, labels, directory) -> list[dict]:
+    """The deposits' profiles beside Eq. 4's solid, where there are any."""
     done = [(one, label) for one, label in zip(outcomes[:2], labels[:2], strict=True) if one.done]
+    if not done or outcomes[0].job.scene.geometry.shape != "column":
+        return []
+    ended, names = zip(*done, strict=True)
+    draw_profiles(ended, names, directory / "profiles.png")
+    return [figure("profiles.png", "Azimuthal mean thickness over the radius: mass in a ring over its area.")]
+
+
+def _agreement(outcomes, runs, distances) -> dict:
     tables = [runs]
     scene = outcomes[0].job.scene
     if known := theory(scene)["eq4"]:
@@ -155,14 +176,7 @@ def _agreement(outcomes, labels, runs, distances, directory) -> dict:
     if distances:
         rows = [[name, f"{value:.1%}"] for name, value in distances.items()]
         tables.append({"caption": "Distance between profiles", "columns": ["profile", "volume between"], "rows": rows})
-    figures = []
-    if done and outcomes[0].job.scene.geometry.shape == "column":
-        ended, names = zip(*done, strict=True)
-        draw_profiles(ended, names, directory / "profiles.png")
-        figures.append(
-            figure("profiles.png", "Azimuthal mean thickness over the radius: mass in a ring over its area.")
-        )
-    return {"title": "How far the deposits agree", "text": text, "tables": tables, "figures": figures}
+    return {"title": "How far the deposits agree", "text": text, "tables": tables, "figures": []}
 
 
 def _shape(fine, directory) -> dict | None:

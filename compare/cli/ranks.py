@@ -22,6 +22,7 @@ OPEN_MPI = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
 }
+LEFT_BY_MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 RULE = "-----"  # starts the lines between which a launcher speaks of itself
 
 
@@ -65,14 +66,17 @@ def start(ranks: int) -> int:
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,  # Ctrl-C reaches this process alone
-        env=os.environ | {"OMP_NUM_THREADS": "1"} | OPEN_MPI,
+        env=_environment(),
     )
-    reader = threading.Thread(target=_repeat, args=(process.stderr,))
+    told: dict[str, list[str]] = {"ranks": [], "launcher": []}
+    reader = threading.Thread(target=_repeat, args=(process.stderr, told))
     reader.start()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: process.send_signal(signal.SIGUSR1))
     code = process.wait()
     reader.join()
+    if code and not told["ranks"]:  # nothing ran
+        sys.stderr.writelines(told["launcher"])
     if code not in (0, 1, SceneError.exit_code, NumericalError.exit_code, INTERRUPTED):
         err.print(f"a rank was killed (exit code {code}): all have stopped; `resume` goes on from the last checkpoint")
     return code
@@ -89,13 +93,24 @@ def _launcher() -> str:
     return found
 
 
-def _repeat(stream):
-    """What ranks say on standard error, without what the launcher says of itself between two rules."""
+def _environment() -> dict[str, str]:
+    """This process's, for ranks: where MPI ran in a process above this one, without what it left there for its own."""
+    kept = dict(os.environ)
+    if kept.keys() & {"PMIX_RANK", "OMPI_COMM_WORLD_RANK"}:
+        kept = {name: value for name, value in kept.items() if not name.startswith(LEFT_BY_MPI)}
+    return kept | {"OMP_NUM_THREADS": "1"} | OPEN_MPI
+
+
+def _repeat(stream, told):
+    """Repeat what ranks say on standard error, without what the launcher says of itself between two rules; both are
+    noted in `told`."""
     quoting = False
     for line in stream:
         if line.startswith(RULE):
             quoting = not quoting
-        elif not quoting:
+            continue
+        told["launcher" if quoting else "ranks"].append(line)
+        if not quoting:
             sys.stderr.write(line)
             sys.stderr.flush()
 

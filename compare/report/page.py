@@ -46,8 +46,9 @@ def write_report(report: dict, directory: Path) -> Path:
 
     report: "title", "lead", "verdict" {"holds", "sentence"}, "checks" [{"name", "holds", "sentence"}] with
     "holds" None where nothing could be judged, "sections" [{"title", "text" [paragraphs], "tables" [{"caption",
-    "columns", "rows"}], "figures" [{"file", "caption", "alt"}]}], "provenance" {key: str or number}. Table cells
-    are str, int, float or None. Other keys go into report.json only. NaN and infinities become null.
+    "columns", "rows"}], "figures" [{"file", "caption", "alt"}]}], "opening", figures to begin with, which may be left
+    out, "provenance" {key: str or number}. Table cells are str, int, float or None. Other keys go into report.json
+    only. NaN and infinities become null.
 
     The page is one file: the figures (PNG) are inside. KeyError for a key that is missing, FileNotFoundError for
     a figure that is; nothing is written then.

@@ -102,7 +102,7 @@ def test_the_report_is_made_of_what_the_runs_say(compared):
 def test_browser_shows_every_figure_and_table(compared, tmp_path, width):
     folder, report = compared
     seen = measure(folder / "report.html", width, tmp_path)
-    figures = [one for section in report["sections"] for one in section["figures"]]
+    figures = report["opening"] + [one for section in report["sections"] for one in section["figures"]]
     assert len(seen["images"]) == len(figures) == 5
     assert all(image["natural_width"] > 0 and image["width"] > 250 for image in seen["images"])
     tables = [one for section in report["sections"] for one in section["tables"]]
