@@ -8,10 +8,10 @@ import warp as wp
 from explicit.solver import ExplicitSolver
 from mpm.body import Body, build
 from mpm.devices import find_device
-from mpm.domains import world
 from mpm.errors import NumericalError, StepRefused
 from mpm.precheck import refuse
 from mpm.provenance import code_version, provenance
+from mpm.ranks import world
 from mpm.results import Results
 from mpm.run import Run, body_of, reopen
 from mpm.runout import REST_WINDOW, front

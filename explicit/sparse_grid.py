@@ -69,9 +69,7 @@ class SparseGrid:
     def _store_nothing(self) -> bool:
         """Tables of one pencil without nodes, for a rank that has no points."""
         self.i0 = self.j0 = self.stored = self.capacity = 0
-        self.shape = (1, 1)
-        for name in ("low", "high", "first", "count", "base"):
-            setattr(self, name, wp.zeros(self.shape, dtype=wp.int32, device=self.device))
+        self._allocate_window((1, 1))
         self.pencil_of = wp.zeros(0, dtype=wp.int32, device=self.device)
         return True
 
@@ -86,11 +84,14 @@ class SparseGrid:
         if inside and high_i < self.i0 + self.shape[0] and high_j < self.j0 + self.shape[1]:
             return False
         self.i0, self.j0 = low_i - WINDOW_SLACK, low_j - WINDOW_SLACK
-        self.shape = (high_i - self.i0 + 1 + WINDOW_SLACK, high_j - self.j0 + 1 + WINDOW_SLACK)
-        self.low, self.high, self.first, self.count, self.base = (
-            wp.zeros(self.shape, dtype=wp.int32, device=self.device) for _ in range(5)
-        )
+        self._allocate_window((high_i - self.i0 + 1 + WINDOW_SLACK, high_j - self.j0 + 1 + WINDOW_SLACK))
         return True
+
+    def _allocate_window(self, shape: tuple[int, int]):
+        self.shape = shape
+        self.low, self.high, self.first, self.count, self.base = (
+            wp.zeros(shape, dtype=wp.int32, device=self.device) for _ in range(5)
+        )
 
     def _launch(self, kernel, dim, inputs):
         wp.launch(kernel, dim, inputs=inputs, device=self.device)

@@ -5,24 +5,11 @@ along z, that hold about as many points each. A rank stores the nodes that its o
 node, both add up what both have of it, in the order of ranks, and so hold the same number to the last bit.
 """
 
-import os
 from typing import NamedTuple
 
 import numpy as np
 
 UNEVEN = 1.05  # points of the heaviest rank over the mean, beyond which the plan is cut anew
-
-
-SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")  # in which Open MPI and MPICH tell a process how many ranks there are
-
-
-def world():
-    """The communicator of all ranks, where the program was started on several; else None, and no MPI is loaded."""
-    if all(int(os.environ.get(name, "1")) < 2 for name in SIZES):
-        return None
-    from mpi4py import MPI
-
-    return MPI.COMM_WORLD
 
 
 class Cut(NamedTuple):

@@ -108,8 +108,9 @@ def test_a_comparison_has_its_page_and_its_runs():
     assert found.verdict in repr(found)
 
 
-def test_importing_repose_imports_no_numerics():
+@pytest.mark.parametrize("module", ["repose", "compare.cli.main"])
+def test_importing_the_face_or_the_command_line_imports_no_numerics(module):
     """Figures, arrays and Warp take a second."""
     heavy = "{'numpy', 'warp', 'matplotlib', 'h5py', 'scipy', 'pydantic', 'dolfinx'}"
-    code = f"import sys, repose; print(sorted({heavy} & sys.modules.keys()))"
+    code = f"import sys, {module}; print(sorted({heavy} & sys.modules.keys()))"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"

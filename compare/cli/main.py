@@ -12,12 +12,13 @@ import typer
 from rich.table import Table
 
 from compare.cli.options import SpacedNumbers, SpacedWords
-from compare.cli.ranks import spread, started, take_part
+from compare.cli.ranks import spread, take_part
 from compare.cli.terminal import BatchMonitor, Monitor, announce, err, out, summary_table
 from compare.solvers import runs_of
 from mpm.caches import announce_compilation
 from mpm.command import command
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
+from mpm.ranks import started
 
 app = typer.Typer(
     help="Granular column collapse: one scene file, explicit and implicit MPM, compared with theory.",

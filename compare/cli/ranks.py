@@ -12,8 +12,8 @@ from pathlib import Path
 import typer
 
 from compare.cli.terminal import err
-from mpm.domains import SIZES, world
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
+from mpm.ranks import started, world
 
 # Open MPI 4 and 5 start more ranks than cores, and root's, only when told to; other MPIs do not read these.
 OPEN_MPI = {
@@ -58,9 +58,7 @@ def _cores() -> int:
 def start(ranks: int) -> int:
     """Start this very command on so many ranks and wait; its exit code. Ctrl-C is handed on, so that a checkpoint is
     saved. Raises SceneError where there is no MPI."""
-    given = iter(sys.argv[1:])
-    words = [word for word in given if word != "--ranks" or next(given) is None]
-    program = (sys.executable, "-c", "from compare.cli.main import main; main()", *words)
+    program = (sys.executable, "-c", "from compare.cli.main import main; main()", *sys.argv[1:])
     process = subprocess.Popen(
         [_launcher(), "-n", str(ranks), *program],
         stderr=subprocess.PIPE,
@@ -113,11 +111,6 @@ def _repeat(stream, told):
         if not quoting:
             sys.stderr.write(line)
             sys.stderr.flush()
-
-
-def started() -> bool:
-    """Whether this process is one of several ranks."""
-    return any(int(os.environ.get(name, "1")) > 1 for name in SIZES)
 
 
 def take_part(main):

@@ -71,14 +71,7 @@ def test_ranks_without_points_and_walls_on_every_side(tmp_path):
 
 def test_ctrl_c_saves_a_checkpoint_from_which_any_number_of_ranks_goes_on(alone, tmp_path):
     folder = tmp_path / "run"
-    long = ("--set", "explicit.until=6.0", "--set", "output.every=0.05", "--set", "output.vtk=false")
-    process = subprocess.Popen(
-        [*PROGRAM, "run", "column_small", *long, "--out", str(folder), "--ranks", "2"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    wait_for(lambda: snapshots(folder) > 2, process)
+    process = running(folder, 2)
     process.send_signal(signal.SIGINT)
     said = process.communicate(timeout=LONGEST)[1]
     assert process.returncode == 130, said
@@ -101,14 +94,7 @@ def test_ctrl_c_saves_a_checkpoint_from_which_any_number_of_ranks_goes_on(alone,
 
 def test_a_killed_rank_ends_all_and_the_checkpoint_is_whole(tmp_path):
     folder = tmp_path / "run"
-    long = ("--set", "explicit.until=6.0", "--set", "output.every=0.05", "--set", "output.vtk=false")
-    process = subprocess.Popen(
-        [*PROGRAM, "run", "column_small", *long, "--out", str(folder), "--ranks", "3"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    wait_for(lambda: snapshots(folder) > 2, process)
+    process = running(folder, 3)
     os.kill(ranks_of(process)[-1], signal.SIGKILL)
     said = process.communicate(timeout=LONGEST)[1]
     assert process.returncode != 0
@@ -135,6 +121,19 @@ def test_bad_input_is_told_once(tmp_path):
     for ranks in ("0", "two", "-1"):
         assert "must be a number" in command("run", "column_small", "--ranks", ranks, code=2)
     assert "implicit" in command("run", "column_small", "--mode", "implicit", "--ranks", 2, code=2)
+
+
+def running(folder, ranks):
+    """A run of 6 s on so many ranks, when it has written three snapshots."""
+    settings = ("--set", "explicit.until=6.0", "--set", "output.every=0.05", "--set", "output.vtk=false")
+    process = subprocess.Popen(
+        [*PROGRAM, "run", "column_small", *settings, "--out", str(folder), "--ranks", str(ranks)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    wait_for(lambda: snapshots(folder) > 2, process)
+    return process
 
 
 def snapshots(folder) -> int:

@@ -45,7 +45,7 @@ def call(tmp_path, home):
 
 @pytest.fixture
 def own(tmp_path):
-    """The user's temporary folder, with the kernels of this session in it: they take a while to compile."""
+    """The user's temporary folder, with the kernels of these tests in it: they take a while to compile."""
     own = tmp_path / "tmp" / f"repose-{os.getuid()}"
     own.mkdir(mode=0o700, parents=True)
     (own / "warp").symlink_to(Path(start_warp().config.kernel_cache_dir).parent)

@@ -1,0 +1,19 @@
+"""On how many MPI ranks the program was started; MPI itself is loaded only where there are several."""
+
+import os
+
+SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")  # in which Open MPI and MPICH tell a process how many ranks there are
+
+
+def started() -> bool:
+    """Whether this process is one of several ranks."""
+    return any(int(os.environ.get(name, "1")) > 1 for name in SIZES)
+
+
+def world():
+    """The communicator of all ranks where the program was started on several; else None."""
+    if not started():
+        return None
+    from mpi4py import MPI
+
+    return MPI.COMM_WORLD
