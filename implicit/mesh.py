@@ -5,7 +5,7 @@ from scipy.ndimage import binary_dilation
 
 from implicit._dolfinx import MPI, dolfinx, function_space, hexahedra
 from mpm.gimp import NODES_PER_AXIS
-from mpm.walls import FREE, ROLLER, Walls
+from mpm.walls import FREE, NORMAL, TANGENTIAL, Walls
 
 MARGIN = 2  # cells beyond the material that the mesh covers, so that it is not made anew each step
 
@@ -88,5 +88,6 @@ class BackgroundMesh:
                     self.space,
                     lambda x, axis=axis, plane=plane, sign=sign: sign * (x[axis] - plane) > -slack,
                 )
-                held[blocks, axis if kind == ROLLER else slice(None)] = True
+                across = np.arange(3) == axis
+                held[blocks] |= np.where(across, kind & NORMAL, kind & TANGENTIAL) > 0
         return held

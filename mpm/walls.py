@@ -7,7 +7,9 @@ from dataclasses import dataclass
 
 from mpm.scene import Box, Scene
 
-FREE, ROLLER, FIXED = range(3)
+# What a wall holds of a velocity or a displacement increment; a kind of wall is the sum of these.
+NORMAL, TANGENTIAL = 1, 2
+FREE, ROLLER, FIXED = 0, NORMAL, NORMAL + TANGENTIAL
 KINDS = {"free": FREE, "roller": ROLLER, "fixed": FIXED}
 NOWHERE = 2**30  # a wall index that no node reaches
 

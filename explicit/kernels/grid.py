@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from explicit.kernels.layout import DT, GRAVITY, WORK_DAMPING, WORK_EXTERNAL, layout
-from mpm.walls import FIXED, FREE
+from mpm.walls import FREE, NORMAL, TANGENTIAL
 
 
 @functools.cache
@@ -24,12 +24,12 @@ def grid_kernels(real):
 
     @wp.func(module=name)
     def held(walls: Walls, axis: int, node: int):
-        """Condition code of the wall that node index `node` on `axis` touches or lies beyond."""
+        """What the walls across `axis` hold, NORMAL and TANGENTIAL, where node index `node` touches or passes them."""
         kind = FREE
         if node <= walls.low[axis]:
             kind = walls.low_kind[axis]
         if node >= walls.high[axis]:
-            kind = wp.max(kind, walls.high_kind[axis])
+            kind = kind | walls.high_kind[axis]
         return kind
 
     @wp.func(module=name)
@@ -39,14 +39,12 @@ def grid_kernels(real):
         on_y = held(walls, 1, j)
         on_z = held(walls, 2, k)
         mask = vec3(one, one, one)
-        if on_x > FREE:
+        if (on_x & NORMAL) + ((on_y | on_z) & TANGENTIAL) > 0:
             mask[0] = zero
-        if on_y > FREE:
+        if (on_y & NORMAL) + ((on_z | on_x) & TANGENTIAL) > 0:
             mask[1] = zero
-        if on_z > FREE:
+        if (on_z & NORMAL) + ((on_x | on_y) & TANGENTIAL) > 0:
             mask[2] = zero
-        if on_x == FIXED or on_y == FIXED or on_z == FIXED:
-            mask = vec3(zero, zero, zero)
         return mask
 
     @wp.func(module=name)
