@@ -1,11 +1,11 @@
 """The pressure law at the nodes, for one step: mean stress of the points, and how it couples their volume strains.
 
     d_p = ln det F,   d_i = sum N d_p/sum N,   theta_p = theta_p^n + sum N d_i,   theta_i = sum N theta_p/sum N,
-    tau_i = K min(theta_i, xi/(eta K)),   tau_p = sum N tau_i
+    tau_i = the pressure law at theta_i,   tau_p = sum N tau_i
 
-over all nodes that points see, held by walls or not (`mpm.drucker_prager`; all points have the same mass). tau is the
-mean Kirchhoff stress. A node so couples points two cells apart, beyond the block rows that `System` assembles: what
-those lack is applied as products with sparse matrices whose rows are points.
+over all nodes that points see, held by walls or not (law in `mpm.drucker_prager`; all points have the same mass). tau
+is the mean Kirchhoff stress. A node so couples points two cells apart, beyond the block rows that `System` assembles:
+what those lack is applied as products with sparse matrices whose rows are points.
 """
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy.sparse import csr_matrix
 
 from implicit.kernels import basis, points
 from implicit.kernels.layout import mat33, real, vec3
+from implicit.kernels.nodes import apply_node_law, node_slopes
 from implicit.points import Basis, Points
 
 SMALLEST_STRETCH = 0.05  # det F of a point in one step, below which an increment is refused
@@ -26,7 +27,8 @@ class Volume:
     """Deformation, volume strain and mean stress of the points at an increment, and their derivatives.
 
     `deformation` (points,) mat33 F; `nodal` (points,) mean stress tau_p [Pa]; `gap` (points,) volume strain by which
-    the nodes are open beyond the apex [-], where psi > 0; `dilated` (points,) sum N d_i [-].
+    the nodes are open beyond the apex [-], where psi > 0; `dilated` (points,) sum N d_i [-]; `slope` (seen,) share of K
+    that nodes have in the tangent [-].
     """
 
     def __init__(self, state: Points, weights: Basis, seen: wp.array, seen_count: int, nodes: wp.array, held, material):
@@ -41,6 +43,7 @@ class Volume:
         self._weight_sum = self._gather @ np.ones(state.count)
         self.deformation, self.volumetric = (self._zeros(state.count, mat33) for _ in range(2))
         self._det, self.nodal, self.gap, self.closed, self.filled = (self._zeros(state.count, real) for _ in range(5))
+        self._theta, self._stress, self._opened, self.slope = (self._zeros(seen_count, real) for _ in range(4))
         self._strain_slopes = None
 
     @staticmethod
@@ -68,22 +71,22 @@ class Volume:
         if not det.min() > SMALLEST_STRETCH:
             return False
         self.dilated = self._average @ self._at_nodes(np.log(det))
-        self._theta = self._at_nodes(self.state.theta.numpy() + self.dilated)
-        m = self.material
-        self.nodal.numpy()[:] = self._average @ (m.bulk * np.minimum(self._theta, m.opens_at))
-        if m.eta_bar > 0.0:
-            self.gap.numpy()[:] = self._average @ np.maximum(self._theta - m.opens_at, 0.0)
+        self._theta.numpy()[:] = self._at_nodes(self.state.theta.numpy() + self.dilated)
+        law = [self._theta, self.material, self._stress, self._opened]
+        wp.launch(apply_node_law, self._theta.size, inputs=law, device="cpu")
+        self.nodal.numpy()[:] = self._average @ self._stress.numpy()
+        if self.material.eta_bar > 0.0:
+            self.gap.numpy()[:] = self._average @ self._opened.numpy()
         return True
 
-    @property
-    def open_nodes(self) -> np.ndarray:
-        """Which of the nodes (seen,) are open at the last increment."""
-        return self._theta > self.material.opens_at
-
     def set_slopes(self, blend: float):
-        """Share of K that nodes have in the tangent, and points from theirs (`closed`): 1 closed, `blend` open."""
-        self._slope = np.where(self.open_nodes, blend, 1.0)
-        self.closed.numpy()[:] = self._average @ self._slope
+        """Share of K that nodes have in the tangent (`slope`), and points from theirs (`closed`).
+
+        1 where a node is closed, `blend` where it is open.
+        """
+        law = [self._theta, self.material, real(blend), self.slope]
+        wp.launch(node_slopes, self._theta.size, inputs=law, device="cpu")
+        self.closed.numpy()[:] = self._average @ self.slope.numpy()
 
     def linearise(self):
         """Rows of the points for `coupling`, from `volumetric` as `tangent_flux` leaves it."""
@@ -110,9 +113,10 @@ class Volume:
         """What the tangent of the block rows lacks, times the flat `v` (3 nodes,) [m]: force (3 nodes,) [N]."""
         own = self._strain_slopes @ v
         theta = self._at_nodes(self._average @ self._at_nodes(own))
-        change = self._average @ (self._slope * theta)
+        slope = self.slope.numpy()
+        change = self._average @ (slope * theta)
         if self._fill is not None:
-            change += self._fill * (self._average @ ((1.0 - self._slope) * theta))
+            change += self._fill * (self._average @ ((1.0 - slope) * theta))
         change -= self._own * own
         return self._push @ ((self.state.volume * self.material.bulk) * change)
 

@@ -89,11 +89,12 @@ def friction_cone(phi_deg: float, cohesion: float, psi_deg: float, cone: str) ->
 
 @functools.cache
 def drucker_prager(real):
-    """Return `Material` (a Warp struct), `second_invariant`, `return_map` and `return_slopes` (Warp functions).
+    """Return `Material` (a Warp struct), `pack`, which fills it, and the Warp functions of the law.
 
     `second_invariant(s)` is J2 of a deviator `s` (vec6: xx, yy, zz, yz, xz, xy) [Pa2].
 
-    `node_law(theta, material)` is the pressure law: mean stress [Pa] of a node at volume strain `theta` [-].
+    `node_law(theta, material)` is the pressure law: mean stress [Pa] of a node at volume strain `theta` [-];
+    `node_slope` (same arguments) is its derivative over K [-], `node_gap` the volume strain by which it is open [-].
 
     `return_map(sigma_m, gap, root_j2, material)` takes the mean stress that the nodes give [Pa], at most xi/eta, the
     volume strain by which they are open beyond the apex [-] (read only where psi > 0) and the trial sqrt(J2) [Pa]. It
@@ -126,6 +127,16 @@ def drucker_prager(real):
     @wp.func(module=name)
     def node_law(theta: real, material: Material):
         return material.bulk * wp.min(theta, material.opens_at)
+
+    @wp.func(module=name)
+    def node_slope(theta: real, material: Material):
+        if theta > material.opens_at:
+            return zero
+        return one
+
+    @wp.func(module=name)
+    def node_gap(theta: real, material: Material):
+        return wp.max(theta - material.opens_at, zero)
 
     @wp.func(module=name)
     def return_map(sigma_m: real, gap: real, root_j2: real, material: Material):
@@ -178,6 +189,8 @@ def drucker_prager(real):
         Material=Material,
         second_invariant=second_invariant,
         node_law=node_law,
+        node_slope=node_slope,
+        node_gap=node_gap,
         return_map=return_map,
         return_slopes=return_slopes,
         pack=pack,

@@ -33,7 +33,8 @@ def stress_kernels(real):
     float64 = wp.float64
     stencil, law = gimp(real).stencil, drucker_prager(real)
     add_scaled, gather = simd(real).add_scaled, simd(real).gather
-    return_map, second_invariant, node_law = law.return_map, law.second_invariant, law.node_law
+    return_map, second_invariant = law.return_map, law.second_invariant
+    node_law, node_gap = law.node_law, law.node_gap
     Material = law.Material
     zero, one, two, half, third = (wp.constant(real(value)) for value in (0.0, 1.0, 2.0, 0.5, 1.0 / 3.0))
     quarter, fifth, sixth = (wp.constant(real(value)) for value in (0.25, 0.2, 1.0 / 6.0))
@@ -141,7 +142,7 @@ def stress_kernels(real):
         if m > zero:
             d = node_dilation[n] / m
             theta = node_force[n][3] / m + d
-            node_force[n] = vec4(d, node_law(theta, material), wp.max(theta - material.opens_at, zero), zero)
+            node_force[n] = vec4(d, node_law(theta, material), node_gap(theta, material), zero)
 
     @wp.kernel(module=name)
     def update_stress(

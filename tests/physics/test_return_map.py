@@ -31,9 +31,11 @@ def sloped(
 
 
 @wp.kernel(module=MODULE)
-def borne(theta: wp.array(dtype=wp.float64), material: LAW.Material, sigma: wp.array(dtype=wp.float64)):
+def borne(theta: wp.array(dtype=wp.float64), material: LAW.Material, out: wp.array(dtype=wp.vec3d)):
     i = wp.tid()
-    sigma[i] = LAW.node_law(theta[i], material)
+    out[i] = wp.vec3d(
+        LAW.node_law(theta[i], material), LAW.node_slope(theta[i], material), LAW.node_gap(theta[i], material)
+    )
 
 
 def on_device(values):
@@ -48,11 +50,16 @@ def return_slopes(sigma_m, gap, root_j2, constants):
     return out.numpy().T
 
 
+def pressure_law(theta, constants):
+    """(3, n) of nodes at volume strain `theta` (n,) [-]: mean stress [Pa], its slope over K [-], what is open [-]."""
+    out = wp.zeros(len(theta), dtype=wp.vec3d, device="cpu")
+    wp.launch(borne, len(theta), inputs=[on_device(theta), LAW.pack(constants), out], device="cpu")
+    return out.numpy().T
+
+
 def node_law(theta, constants):
     """Mean stress [Pa] of nodes at volume strain `theta` (n,) [-]."""
-    sigma = wp.zeros(len(theta), dtype=wp.float64, device="cpu")
-    wp.launch(borne, len(theta), inputs=[on_device(theta), LAW.pack(constants), sigma], device="cpu")
-    return sigma.numpy()
+    return pressure_law(theta, constants)[0]
 
 
 def sand(psi=0.0, cohesion=0.0, **changes):
@@ -79,6 +86,17 @@ def test_a_node_is_elastic_up_to_the_apex_and_bears_no_more(cohesion):
     below = law.opens_at - np.geomspace(1e-12, 0.5, 40)
     assert node_law(below, law) == pytest.approx(law.bulk * below, rel=1e-15)
     assert node_law([1e-2, 1.0, 1e6], law) == pytest.approx(apex, rel=1e-14, abs=0.0)
+
+
+@KINDS
+def test_the_slope_of_a_node_is_the_derivative_of_its_stress(cohesion):
+    """Central differences on either side of the apex; what the stress does not follow is open."""
+    law = sand(cohesion=cohesion)
+    theta = law.opens_at + np.array([-1e-2, -1e-5, 1e-5, 1e-2])
+    stress, slope, gap = pressure_law(theta, law)
+    ahead, behind = node_law(theta + 1e-7, law), node_law(theta - 1e-7, law)
+    assert slope == pytest.approx((ahead - behind) / (2e-7 * law.bulk), abs=1e-7)
+    assert gap == pytest.approx(theta - stress / law.bulk, abs=1e-15)
 
 
 @KINDS
