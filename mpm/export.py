@@ -5,12 +5,10 @@ from pathlib import Path
 import numpy as np
 
 from mpm.errors import SceneError
-from mpm.fields import STRESS, UNITS, friction_mobilised, pressure
+from mpm.fields import FOLLOWS, STRESS, UNITS, follow, following
 from mpm.results import Results
 
 CSV_INDEX = "snapshots.csv"
-# What a field that is not stored follows from.
-FOLLOWS = {"pressure": {"stress"}, "friction_mobilised": {"stress", "volume_ratio"}}
 
 
 class Snapshots:
@@ -24,30 +22,21 @@ class Snapshots:
             raise SceneError(f"{results.directory} has no snapshot to write")
         self.results = results
         self.stored = [name for name in results.field_names if name != "x"]
-        follow = [name for name, needed in FOLLOWS.items() if name not in self.stored and needed <= set(self.stored)]
-        if "friction_mobilised" in follow:
-            self.constants = results.scene.material.constants()
-            if not self.constants.plastic:
-                follow.remove("friction_mobilised")
-        available = [*self.stored, *follow]
+        self.constants = results.scene.material.constants()
+        available = [*self.stored, *following(self.stored, self.constants)]
         if unknown := [name for name in names or () if name not in available]:
             raise SceneError(f"no field {', '.join(unknown)} in {results.directory}: it has {', '.join(available)}")
         self.names = available if names is None else list(dict.fromkeys(names))
 
     def __iter__(self):
         """Each snapshot: "time" [s], "step", "x" (n, 3) [m] and the fields, as `Results.snapshot` gives them."""
-        follow = [name for name in self.names if name not in self.stored]
-        needed = set().union(*(FOLLOWS[name] for name in follow), self.names) - set(follow)
+        computed = [name for name in self.names if name not in self.stored]
+        needed = set(self.names).union(*(FOLLOWS[name][0] for name in computed)) - set(computed)
         for index in range(self.results.snapshot_count):
             snapshot = self.results.snapshot(index, ["x", *sorted(needed)])
-            for name in follow:
-                snapshot[name] = self._follow(name, snapshot).astype(np.float32)
+            for name in computed:
+                snapshot[name] = follow(name, snapshot.get, self.constants).astype(np.float32)
             yield snapshot
-
-    def _follow(self, name: str, snapshot: dict) -> np.ndarray:
-        if name == "pressure":
-            return pressure(snapshot["stress"])
-        return friction_mobilised(snapshot["stress"], snapshot["volume_ratio"], self.constants)
 
 
 def write_csv(results: Results, fields: list[str] | None = None, directory=None) -> Path:

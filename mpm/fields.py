@@ -1,5 +1,7 @@
 """Point fields of snapshots: names, units, and what those are that follow from others."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from mpm.drucker_prager import Constants
@@ -39,3 +41,26 @@ def friction_mobilised(stress, volume_ratio, constants: Constants) -> np.ndarray
     strength = np.maximum(constants.eta * p + constants.xi, 0.0)
     # Beyond the cone is round-off alone, at a strength of zero too.
     return np.divide(np.minimum(root_j2, strength), strength, out=np.zeros_like(strength), where=strength > 0.0)
+
+
+# Fields that follow from others: from which, and the function of these and of the material's constants.
+FOLLOWS: dict[str, tuple[tuple[str, ...], Callable[..., np.ndarray]]] = {
+    "pressure": (("stress",), lambda stress, _constants: pressure(stress)),
+    "friction_mobilised": (("stress", "volume_ratio"), friction_mobilised),
+}
+
+
+def following(names, constants: Constants) -> list[str]:
+    """Which fields follow from those called `names` and are not among them."""
+    present = set(names)
+    return [
+        name
+        for name, (needed, _) in FOLLOWS.items()
+        if name not in present and present.issuperset(needed) and (constants.plastic or name not in PLASTIC)
+    ]
+
+
+def follow(name: str, field_of, constants: Constants) -> np.ndarray:
+    """The field `name` from those that it follows from; `field_of(other)` gives the array of one of them."""
+    needed, function = FOLLOWS[name]
+    return function(*map(field_of, needed), constants)

@@ -3,13 +3,14 @@
 import signal
 import time
 from contextlib import contextmanager, suppress
+from functools import partial
 
 import numpy as np
 
 from mpm.body import Body, build
 from mpm.command import command
 from mpm.errors import NumericalError, SceneError
-from mpm.fields import friction_mobilised, pressure
+from mpm.fields import follow, following
 from mpm.packing import packing
 from mpm.provenance import peak_memory_mb
 from mpm.results import Results
@@ -226,13 +227,10 @@ class Run:
         own, body = self.own_fields(), self.body
         makers = own | {
             "displacement": lambda: self.x - body.x,
-            "pressure": lambda: pressure(own["stress"]()),
             "volume": lambda: body.point_volume * own["volume_ratio"](),
         }
-        if body.constants.plastic:
-            makers["friction_mobilised"] = lambda: friction_mobilised(
-                own["stress"](), own["volume_ratio"](), body.constants
-            )
+        for name in following(own, body.constants):
+            makers[name] = partial(follow, name, lambda other: own[other](), body.constants)
         return makers
 
     def add_row(self, row: dict[str, float]):
