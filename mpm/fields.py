@@ -14,6 +14,7 @@ UNITS = {
     "stress": "Pa",
     "eps_p_eqv": "-",  # equivalent plastic strain
     "pressure": "Pa",
+    "deviatoric_stress": "Pa",
     "volume": "m3",
     "volume_ratio": "-",  # over the initial volume
     "friction_mobilised": "-",
@@ -27,6 +28,12 @@ def pressure(stress) -> np.ndarray:
     return -stress[:, :3].mean(axis=1)
 
 
+def deviatoric_stress(stress) -> np.ndarray:
+    """q = sqrt(3 J2) (n,) [Pa] of `stress` (n, 6) [Pa]; sigma_1 - sigma_3 in triaxial compression and extension."""
+    deviator = stress[:, :3] + pressure(stress)[:, None]
+    return np.sqrt(1.5 * (deviator**2).sum(axis=1) + 3.0 * (stress[:, 3:] ** 2).sum(axis=1))
+
+
 def friction_mobilised(stress, volume_ratio, constants: Constants) -> np.ndarray:
     """Share of its strength that the material uses (n,) [-]: sqrt(J2)/(eta p + xi), 0 to 1, where it flows.
 
@@ -35,10 +42,8 @@ def friction_mobilised(stress, volume_ratio, constants: Constants) -> np.ndarray
     sqrt(J2)/p over the cone's slope eta. 0 where there is no stress.
     """
     tau = np.asarray(stress, float) * np.asarray(volume_ratio, float)[:, None]
-    p = pressure(tau)
-    deviator = tau[:, :3] + p[:, None]
-    root_j2 = np.sqrt(0.5 * (deviator**2).sum(axis=1) + (tau[:, 3:] ** 2).sum(axis=1))
-    strength = np.maximum(constants.eta * p + constants.xi, 0.0)
+    root_j2 = deviatoric_stress(tau) / np.sqrt(3.0)
+    strength = np.maximum(constants.eta * pressure(tau) + constants.xi, 0.0)
     # Beyond the cone is round-off alone, at a strength of zero too.
     return np.divide(np.minimum(root_j2, strength), strength, out=np.zeros_like(strength), where=strength > 0.0)
 
@@ -46,6 +51,7 @@ def friction_mobilised(stress, volume_ratio, constants: Constants) -> np.ndarray
 # Fields that follow from others: from which, and the function of these and of the material's constants.
 FOLLOWS: dict[str, tuple[tuple[str, ...], Callable[..., np.ndarray]]] = {
     "pressure": (("stress",), lambda stress, _constants: pressure(stress)),
+    "deviatoric_stress": (("stress",), lambda stress, _constants: deviatoric_stress(stress)),
     "friction_mobilised": (("stress", "volume_ratio"), friction_mobilised),
 }
 

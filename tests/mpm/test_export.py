@@ -61,7 +61,8 @@ def test_the_list_of_snapshots_has_their_times(run):
 
 
 def test_fields_that_are_not_stored_follow_from_those_that_are(run):
-    assert Snapshots(run).names == ["eps_p_eqv", "stress", "velocity", "volume_ratio", "pressure", "friction_mobilised"]
+    follow = ["pressure", "deviatoric_stress", "friction_mobilised"]
+    assert Snapshots(run).names == ["eps_p_eqv", "stress", "velocity", "volume_ratio", *follow]
     first = next(iter(Snapshots(run, ["friction_mobilised", "pressure"])))
     stored = run.snapshot(0)
     np.testing.assert_allclose(first["pressure"], -stored["stress"][:, :3].mean(axis=1), rtol=1e-6)
@@ -72,10 +73,10 @@ def test_fields_that_are_not_stored_follow_from_those_that_are(run):
 
 
 def test_nothing_follows_from_what_is_not_stored(tmp_path):
-    assert Snapshots(store(tmp_path / "a", COLUMN, ["stress"])).names == ["stress", "pressure"]
+    assert Snapshots(store(tmp_path / "a", COLUMN, ["stress"])).names == ["stress", "pressure", "deviatoric_stress"]
     assert Snapshots(store(tmp_path / "b", COLUMN, ["velocity"])).names == ["velocity"]
     elastic = store(tmp_path / "c", BOX, ["stress", "volume_ratio"])
-    assert Snapshots(elastic).names == ["stress", "volume_ratio", "pressure"]
+    assert Snapshots(elastic).names == ["stress", "volume_ratio", "pressure", "deviatoric_stress"]
     with pytest.raises(SceneError, match=r"no field friction_mobilised in .*: it has stress, volume_ratio, pressure"):
         Snapshots(elastic, ["friction_mobilised"])
 

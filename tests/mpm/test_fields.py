@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from explicit.run import run
-from mpm.fields import PLASTIC, UNITS, friction_mobilised, pressure
+from mpm.fields import PLASTIC, UNITS, deviatoric_stress, friction_mobilised, pressure
 from mpm.load import load_scene
 from mpm.results import Results
 from mpm.scene import Material
@@ -18,6 +18,16 @@ def constants(**more):
 
 def test_pressure_is_minus_the_mean_stress():
     np.testing.assert_allclose(pressure(np.array([[-1.0, -2.0, -6.0, 9.0, 9.0, 9.0]])), [3.0])
+
+
+def test_deviatoric_stress_is_that_of_the_triaxial_test_in_any_axes():
+    """sigma_1 - sigma_3 = 70 kPa in compression and in extension, turned at random; sqrt(3) tau in simple shear."""
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    for axial, radial in ((-1e5, -3e4), (-3e4, -1e5)):
+        s = turn @ np.diag([radial, radial, axial]) @ turn.T
+        voigt = np.array([[s[0, 0], s[1, 1], s[2, 2], s[1, 2], s[0, 2], s[0, 1]]])
+        assert deviatoric_stress(voigt) == pytest.approx([7e4])
+    assert deviatoric_stress(np.array([[-1e5, -1e5, -1e5, 0.0, 3e4, 0.0]])) == pytest.approx([3e4 * np.sqrt(3.0)])
 
 
 def test_simple_shear_mobilises_shear_over_strength():
@@ -59,6 +69,7 @@ def test_a_run_stores_any_field_in_single_precision_and_they_agree(tmp_path, pre
     np.testing.assert_allclose(last["displacement"], last["x"] - results.read_static("x0"), atol=1e-6)
     np.testing.assert_allclose(last["volume"], 0.125**3 * last["volume_ratio"], rtol=1e-6)
     np.testing.assert_allclose(last["pressure"], pressure(last["stress"]), rtol=1e-4, atol=1e-2)
+    np.testing.assert_allclose(last["deviatoric_stress"], deviatoric_stress(last["stress"]), rtol=1e-3, atol=1.0)
     mobilised = last["friction_mobilised"]
     assert mobilised.min() >= 0.0 and mobilised.max() == pytest.approx(1.0, abs=1e-5)
     again = friction_mobilised(last["stress"], last["volume_ratio"], scene.material.constants())
