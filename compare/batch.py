@@ -18,6 +18,7 @@ from typing import Any
 from compare.solvers import runs_of
 from compare.worker import JOB, OUTCOME
 from mpm.body import build
+from mpm.command import command
 from mpm.devices import find_device
 from mpm.errors import INTERRUPTED, SceneError
 from mpm.load import load_scene
@@ -72,11 +73,12 @@ class Job:
     @property
     def command(self) -> str:
         """The command that makes the same run, or the benchmark's where the command line has no such setting."""
-        words = ["repose", "run", self.reference, "--mode", self.mode, "--device", self.device]
-        if self.regularisation:
-            words = ["python", "benchmarks/implicit_runs.py", self.reference, "--table", "FILE"]
-            words += [word for name, value in self.regularisation.items() for word in ("--reg", f"{name}={value:g}")]
-        return shlex.join(words + [word for item in self.settings for word in ("--set", item)])
+        settings = [word for item in self.settings for word in ("--set", item)]
+        if not self.regularisation:
+            return command("run", self.reference, "--mode", self.mode, "--device", self.device, *settings)
+        words = ["python", "benchmarks/implicit_runs.py", self.reference, "--table", "FILE"]
+        words += [word for name, value in self.regularisation.items() for word in ("--reg", f"{name}={value:g}")]
+        return shlex.join(words + settings)
 
 
 @dataclass(frozen=True)

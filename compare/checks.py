@@ -1,8 +1,10 @@
 """What is asked of a quasistatic collapse by two solvers, with what was measured."""
 
 from compare.batch import Outcome
-from compare.report.sections import check
+from compare.report.sections import HOW_ENDED, check
+from explicit.run import REST_KE, REST_KE_OF_FALL
 from implicit.pseudo_time import REST_UNBALANCED
+from mpm.runout import REST_WINDOW
 from mpm.scene import Scene
 from mpm.theory import theory
 
@@ -11,7 +13,7 @@ PROFILE_AGREES = 0.10  # volume between two profiles over the deposit's
 VOLUME_KEPT = 0.01  # gain over the initial volume: psi = 0 asks for none
 GRID_AGREES = 0.10  # relative change of R_995 from twice the cell size
 FEW_FAILED = 0.05  # failed tries over steps of the implicit run
-REST_KE = "1e-4, or 1e-6 of M g h0,"
+FAILED = "not known: a run failed"
 
 
 def quasistatic_checks(
@@ -26,57 +28,71 @@ def quasistatic_checks(
     scene = outcomes[0].job.scene
     found = _run_outs(deposits, scene) if collapsed else []
     apart = distances.get("implicit from explicit")
-    said = "a run failed" if apart is None else f"{apart:.1%} of the deposit's volume lies between them"
-    found.append(check("profiles agree", apart, PROFILE_AGREES, f"{said}; {PROFILE_AGREES:.0%} is allowed."))
+    said = FAILED if apart is None else f"{apart:.1%} of the deposit's volume lies between them"
+    found.append(check("profile, implicit against explicit", apart, PROFILE_AGREES, f"{said}{allowed(PROFILE_AGREES)}"))
     found += [_rest(one) for one, _ in fine]
     found.append(_steps(outcomes[0].summary))
     if scene.material.model == "drucker_prager" and scene.material.dilatancy_angle == 0:
         for one, measured in fine:
             gain = measured["volume_error"] if measured else None
-            said = "the run failed" if gain is None else f"the deposit gained {gain:+.1%}"
-            sentence = f"{said}; {VOLUME_KEPT:.0%} is allowed."
-            found.append(check(f"{one.job.mode} keeps its volume", gain, VOLUME_KEPT, sentence))
+            said = FAILED if gain is None else f"{gain:+.1%}"
+            found.append(check(f"volume kept, {one.job.mode}", gain, VOLUME_KEPT, f"{said}{allowed(VOLUME_KEPT)}"))
     for (one, measured), coarser in zip(fine, coarse, strict=False) if collapsed else ():
-        off = coarser["R_995"] / measured["R_995"] - 1.0 if coarser and measured else None
-        said = "a run failed" if off is None else f"with twice the cell R_995 is {coarser['R_995']:.3f}, {off:+.1%}"
-        name = f"{one.job.mode} run-out hardly depends on the grid"
-        found.append(check(name, off, GRID_AGREES, f"{said}; {GRID_AGREES:.0%} is allowed."))
+        off, said = coarser["R_995"] / measured["R_995"] - 1.0 if coarser and measured else None, ""
+        if off is not None:
+            said = f": R_995 is {coarser['R_995']:.3f} on it, {measured['R_995']:.3f} on the scene's own grid"
+        found.append(_relative(f"run-out on twice the cell, {one.job.mode}", off, GRID_AGREES, said))
     return found
+
+
+def allowed(limit: float) -> str:
+    """The limit of a share, as a sentence adds it."""
+    return f" ({limit:.0%} allowed)"
+
+
+def _relative(name: str, off: float | None, limit: float, said: str) -> dict:
+    """A check of the relative difference `off`, None where a run failed; `said`: what it is a difference of."""
+    return check(name, off, limit, FAILED if off is None else f"{off:+.1%}{allowed(limit)}{said}")
 
 
 def _run_outs(deposits, scene: Scene) -> list[dict]:
     """R_995 of each solver against the other's and Eq. 4's."""
     implicit, explicit = (one and one["R_995"] for one in deposits[:2])
-    pairs = [("implicit run-out agrees with explicit", implicit, explicit, "the explicit run-out")]
+    pairs = [("implicit", implicit, "explicit", explicit)]
     if known := theory(scene)["eq4"]:
-        pairs += [("implicit run-out agrees with Eq. 4", implicit, known, "Eq. 4")]
-        pairs += [("explicit run-out agrees with Eq. 4", explicit, known, "Eq. 4")]
+        pairs += [("implicit", implicit, "Eq. 4", known), ("explicit", explicit, "Eq. 4", known)]
     found = []
-    for name, value, reference, of in pairs:
-        off = value / reference - 1.0 if value and reference else None
-        said = "a run failed" if off is None else f"R_995 {value:.3f} against {reference:.3f}, {off:+.1%}"
-        found.append(check(name, off, RUN_OUT_AGREES, f"{said}; {RUN_OUT_AGREES:.0%} of {of} is allowed."))
+    for who, value, whose, reference in pairs:
+        off, said = value / reference - 1.0 if value and reference else None, ""
+        if off is not None:
+            said = f": R_995 is {value:.3f}, that of {whose} {reference:.3f}"
+        found.append(_relative(f"run-out, {who} against {whose}", off, RUN_OUT_AGREES, said))
     return found
 
 
 def _rest(outcome: Outcome) -> dict:
     """Whether the run ended at rest."""
-    name = f"{outcome.job.mode} run came to rest"
+    name = f"came to rest, {outcome.job.mode}"
     if not outcome.done:
-        return check(name, None, 0.0, "the run failed.")
+        return check(name, None, 0.0, FAILED)
     summary = outcome.summary
-    measure, key, limit = {
-        "implicit": ("out-of-balance force over external", "unbalanced_ratio", f"{REST_UNBALANCED:g}"),
-        "explicit": ("grid kinetic energy over its peak", "grid_ke_ratio", REST_KE),
-    }[outcome.job.mode]
-    said = f"{measure} {summary[key]:.1e}; rest asks for {limit} and a front that stands still over 2 sqrt(h0/g)."
-    return check(name, float(summary["stop_reason"] != "rest"), 0.0, said)
+    if outcome.job.mode == "implicit":
+        state = f"the out-of-balance force is {summary['unbalanced_ratio']:.1e} of the external one"
+        limit = f"{REST_UNBALANCED:g}"
+    else:
+        state = f"the grid's kinetic energy is {summary['grid_ke_ratio']:.1e} of its peak"
+        limit = f"{REST_KE:g}, or {REST_KE_OF_FALL:g} of M g h0,"
+    at_rest = summary["stop_reason"] == "rest"
+    answer = "yes" if at_rest else f"no ({HOW_ENDED[summary['stop_reason']]})"
+    asked = f"rest asks for {limit} and a front that stands still over {REST_WINDOW:g} sqrt(h0/g)"
+    return check(name, float(not at_rest), 0.0, f"{answer}: {state}; {asked}")
 
 
 def _steps(summary: dict | None) -> dict:
     """How often Newton had to try again, over the steps of the implicit run."""
+    name = "steps that took another try, implicit"
     if not summary:
-        return check("implicit steps succeed", None, FEW_FAILED, "the run failed.")
+        return check(name, None, FEW_FAILED, FAILED)
     share = summary["failed_steps"] / summary["steps"]
-    said = f"{summary['failed_steps']} tries failed in {summary['steps']} steps; {FEW_FAILED:.0%} is allowed."
-    return check("implicit steps succeed", share, FEW_FAILED, said)
+    said = f"{summary['failed_steps']} of {summary['steps']}, {share:.1%}{allowed(FEW_FAILED)}"
+    return check(name, share, FEW_FAILED, said)

@@ -17,8 +17,9 @@ from compare.report.sections import (
     failures,
     figure,
     runs_table,
-    scene_section,
+    setup_section,
     softened_note,
+    soil_section,
     stability_table,
     verdict,
 )
@@ -79,13 +80,14 @@ def compare_solvers(directory: Path, force, monitor, command: str, reference: st
     checks = quasistatic_checks(outcomes, deposits, distances, collapsed)
     runs = runs_table(outcomes, labels, deposits)
     sections = [
+        soil_section(scene),
         _agreement(outcomes, runs, distances),
         _shape(fine, directory),
         _way_to_rest(fine, directory),
         _cost(outcomes, labels, directory),
         {"title": "Stability", "text": failures(outcomes, labels), "tables": [stability_table(outcomes, labels)]}
         | {"figures": []},
-        scene_section(scene),
+        setup_section(scene),
         {"title": "What the measures mean", "text": WHAT_MEASURES_MEAN, "tables": [], "figures": []},
         eq6_section(),
     ]

@@ -1,7 +1,6 @@
 """The command line: run, resume, plot, export, compare, study, bench, validate, scenes, info, demo."""
 
 import itertools
-import shlex
 import sys
 from enum import StrEnum
 from importlib import metadata
@@ -364,9 +363,8 @@ def _reported(directory: Path, force: bool, make, *arguments) -> dict:
     """Let `make(directory, force, monitor, asked, *arguments)` compute a report; write it and print its verdict."""
     from compare.report.page import write_report
 
-    asked = shlex.join(["repose", *sys.argv[1:]])
     try:
-        report = make(directory, force, BatchMonitor(), asked, *arguments)
+        report = make(directory, force, BatchMonitor(), command(*sys.argv[1:]), *arguments)
     except KeyboardInterrupt as stop:
         err.print(str(stop) or "interrupted")
         raise typer.Exit(INTERRUPTED) from None

@@ -5,7 +5,7 @@ import numpy as np
 from compare.batch import Outcome
 from compare.experiments import experiments
 from mpm.provenance import installed, provenance
-from mpm.scene import Scene
+from mpm.scene import Scene, Section
 from mpm.theory import eq6, eq6_printed, theory
 
 WHAT_MEASURES_MEAN = [
@@ -34,9 +34,7 @@ def check(name: str, value: float | None, limit: float, sentence: str) -> dict:
 
 def verdict(checks: list[dict]) -> dict:
     """How many checks hold, and which do not, by how much."""
-    missed = [
-        f"{one['name']} ({one['value']:+.3g}, limit {one['limit']:.3g})" for one in checks if one["holds"] is False
-    ]
+    missed = [one["name"] + _by_how_much(one) for one in checks if one["holds"] is False]
     unjudged = [one["name"] for one in checks if one["holds"] is None]
     holding = len(checks) - len(missed) - len(unjudged)
     sentence = f"{holding} of {len(checks)} checks hold."
@@ -45,6 +43,14 @@ def verdict(checks: list[dict]) -> dict:
     if unjudged:
         sentence += f" These could not be judged: {'; '.join(unjudged)}."
     return {"holds": holding == len(checks), "sentence": sentence}
+
+
+def _by_how_much(one: dict) -> str:
+    """Value and limit of a check: a share in percent, a ratio as a number; of a yes or no nothing."""
+    value, limit = one["value"], one["limit"]
+    if limit == 0.0:
+        return ""
+    return f" ({value:+.1%}, {limit:.0%} allowed)" if limit < 1.0 else f" ({value:.3g}, {limit:.3g} allowed)"
 
 
 def runs_table(outcomes: list[Outcome], labels: list[str], deposits: list[dict | None]) -> dict:
@@ -101,16 +107,33 @@ def failures(outcomes: list[Outcome], labels: list[str]) -> list[str]:
     return [f"{label} failed: {one.reason}" for one, label in zip(outcomes, labels, strict=True) if not one.done]
 
 
-def scene_section(scene: Scene) -> dict:
-    """What was computed, from the resolved scene."""
-    sections = scene.model_dump(mode="json")
-    rows = [
-        [f"{section}.{key}", str(value)]
-        for section in ("geometry", "grid", "material", "loads")
-        for key, value in sections[section].items()
-    ]
-    table = {"caption": "Scene, in SI units and degrees", "columns": ["key", "value"], "rows": rows}
-    return {"title": "The scene", "text": [], "tables": [table], "figures": []}
+def soil_section(scene: Scene) -> dict:
+    """The soil and the body that were computed."""
+    tables = [_values("Soil", "material", scene.material), _values("Body", "geometry", scene.geometry)]
+    return {"title": "Soil and body", "text": [], "tables": tables, "figures": []}
+
+
+def setup_section(scene: Scene) -> dict:
+    """Gravity, initial stress and grid."""
+    tables = [_values("Gravity and initial stress", "loads", scene.loads), _values("Grid", "grid", scene.grid)]
+    return {"title": "Loads and grid", "text": [], "tables": tables, "figures": []}
+
+
+def _values(caption: str, section: str, model: Section) -> dict:
+    """A table of a scene's section: what each value is, its unit and its key in a scene file."""
+    rows: list[list] = []
+    for key, field in type(model).model_fields.items():
+        value, extra = getattr(model, key), field.json_schema_extra
+        if isinstance(value, Section):
+            rows += _values("", f"{section}.{key}", value)["rows"]
+            continue
+        unit = extra.get("unit") if isinstance(extra, dict) else None
+        what = (field.description or "").removesuffix(f" [{unit}]")
+        if unit == "Pa":  # as one reads them in a report on a soil
+            value, unit = (value / 1e6, "MPa") if value >= 1e6 else (value / 1e3, "kPa")
+        shown = value if isinstance(value, str | int | float | None) else ", ".join(f"{one:g}" for one in value)
+        rows.append([what, shown, None if unit == "-" else unit, f"{section}.{key}"])
+    return {"caption": caption, "columns": ["what", "value", "unit", "key"], "rows": rows}
 
 
 def softened_note(outcomes: list[Outcome]) -> list[str]:

@@ -17,10 +17,11 @@ from compare.cli import main as cli
 from compare.comparison import _distances, plan
 from compare.plots.reports import pareto_front
 from compare.report.page import refuse_another
-from compare.report.sections import check, verdict
+from compare.report.sections import check, soil_section, verdict
 from compare.studies import error as study_error
 from compare.studies import paper as study_paper
 from compare.studies.error import _crossover, _limit
+from explicit.run import REST_KE, REST_KE_OF_FALL
 from mpm.body import build
 from mpm.errors import SceneError
 from mpm.load import load_scene
@@ -89,11 +90,11 @@ def test_the_report_is_made_of_what_the_runs_say(compared):
     checks = {one["name"]: one for one in report["checks"]}
     implicit, explicit = report["runs"]["implicit"], report["runs"]["explicit, D = 0.4"]
     # A fifth of a second and three steps are no collapse to rest.
-    off = checks["implicit run came to rest"]
+    off = checks["came to rest, implicit"]
     assert (off["value"], off["holds"]) == (1.0, False) and implicit["stop_reason"] == "max_steps"
-    gain = checks["implicit keeps its volume"]
+    gain = checks["volume kept, implicit"]
     assert gain["value"] == report["deposits"]["implicit"]["volume_error"]
-    assert checks["explicit run came to rest"]["holds"] is False
+    assert checks["came to rest, explicit"]["holds"] is False
     assert explicit["stop_reason"] == "max_time"
     assert report["provenance"]["report made by"].startswith("repose compare column_small --set grid.cell=0.25")
 
@@ -136,8 +137,8 @@ def test_a_failed_run_is_in_the_report_with_its_reason(tmp_path):
     assert len(report["failed"]) == 1 and "Courant limit" in report["failed"][0]  # with twice the cell it is no limit
     assert "failed: time step refused at t = " in page
     checks = {one["name"]: one["holds"] for one in report["checks"]}
-    assert checks["implicit run-out agrees with explicit"] is None
-    assert "could not be judged: implicit run-out agrees with explicit" in report["verdict"]["sentence"]
+    assert checks["run-out, implicit against explicit"] is None
+    assert "could not be judged: run-out, implicit against explicit" in report["verdict"]["sentence"]
 
 
 def test_a_box_that_stands_has_no_run_out_to_compare(tmp_path):
@@ -147,7 +148,7 @@ def test_a_box_that_stands_has_no_run_out_to_compare(tmp_path):
     report = json.loads((folder / "report.json").read_text())
     assert not any("run-out" in one["name"] for one in report["checks"])
     names = {one["name"] for one in report["checks"]}
-    assert "profiles agree" in names
+    assert "profile, implicit against explicit" in names
     assert not any("volume" in name for name in names)  # an elastic body is compacted by its weight
 
 
@@ -171,18 +172,55 @@ def test_run_outs_are_checked_against_the_other_solver_eq4_and_twice_the_cell():
     checks = quasistatic_checks(outcomes, deposits, {"implicit from explicit": 0.02}, collapsed=True)
     found = {one["name"]: (one["value"], one["holds"]) for one in checks}
     assert found == {
-        "implicit run-out agrees with explicit": (pytest.approx(0.32 / 0.30 - 1), True),
-        "implicit run-out agrees with Eq. 4": (pytest.approx(0.32 / 0.30743 - 1, abs=1e-4), True),
-        "explicit run-out agrees with Eq. 4": (pytest.approx(0.30 / 0.30743 - 1, abs=1e-4), True),
-        "profiles agree": (0.02, True),
-        "implicit run came to rest": (0.0, True),
-        "explicit run came to rest": (0.0, True),
-        "implicit steps succeed": (0.075, False),
-        "implicit keeps its volume": (0.06, False),
-        "explicit keeps its volume": (0.06, False),
-        "implicit run-out hardly depends on the grid": (pytest.approx(0.35 / 0.32 - 1), True),
-        "explicit run-out hardly depends on the grid": (None, None),
+        "run-out, implicit against explicit": (pytest.approx(0.32 / 0.30 - 1), True),
+        "run-out, implicit against Eq. 4": (pytest.approx(0.32 / 0.30743 - 1, abs=1e-4), True),
+        "run-out, explicit against Eq. 4": (pytest.approx(0.30 / 0.30743 - 1, abs=1e-4), True),
+        "profile, implicit against explicit": (0.02, True),
+        "came to rest, implicit": (0.0, True),
+        "came to rest, explicit": (0.0, True),
+        "steps that took another try, implicit": (0.075, False),
+        "volume kept, implicit": (0.06, False),
+        "volume kept, explicit": (0.06, False),
+        "run-out on twice the cell, implicit": (pytest.approx(0.35 / 0.32 - 1), True),
+        "run-out on twice the cell, explicit": (None, None),
     }
+    said = {one["name"]: one["sentence"] for one in checks}
+    assert said["run-out, implicit against explicit"] == ("+6.7% (10% allowed): R_995 is 0.320, that of explicit 0.300")
+    assert said["volume kept, implicit"] == "+6.0% (1% allowed)"
+    assert said["steps that took another try, implicit"] == "3 of 40, 7.5% (5% allowed)"
+    assert said["came to rest, explicit"].startswith("yes: the grid's kinetic energy is 1.0e-05 of its peak; rest asks")
+    assert f"{REST_KE:g}, or {REST_KE_OF_FALL:g} of M g h0" in said["came to rest, explicit"]
+    assert said["run-out on twice the cell, implicit"].startswith("+9.4% (10% allowed): R_995 is 0.350 on it")
+    assert said["run-out on twice the cell, explicit"] == "not known: a run failed"
+
+
+def test_a_run_that_did_not_come_to_rest_says_no_and_why():
+    jobs = plan("column_small", [], "cpu")
+    summary = {"stop_reason": "max_steps", "unbalanced_ratio": 0.09, "failed_steps": 0, "steps": 40}
+    still = {"stop_reason": "max_time", "grid_ke_ratio": 1e-2}
+    outcomes = [Outcome(jobs[0], None, summary, None), Outcome(jobs[1], None, still, None)]
+    checks = quasistatic_checks(outcomes, [None, None], {}, collapsed=False)
+    said = {one["name"]: one for one in checks}
+    assert said["came to rest, implicit"]["sentence"].startswith("no (steps up, not at rest): the out-of-balance force")
+    assert said["came to rest, explicit"]["sentence"].startswith("no (time up, not at rest): the grid's kinetic energy")
+    assert "These do not: came to rest, implicit; came to rest, explicit." in verdict(checks)["sentence"]
+
+
+def test_the_soil_is_told_with_units_as_an_engineer_writes_them():
+    scene = load_scene("self_weight", ["material.cohesion=500.0", "material.model=drucker_prager"])
+    soil, body = soil_section(scene)["tables"]
+    rows = {row[3]: row[:3] for row in [*soil["rows"], *body["rows"]]}
+    assert rows["material.young"] == ["Young's modulus E", pytest.approx(5.84), "MPa"]
+    assert rows["material.cohesion"] == ["cohesion c", 0.5, "kPa"]
+    assert rows["material.density"] == ["bulk density", 2000.0, "kg/m3"]
+    assert rows["material.poisson"] == ["Poisson's ratio", 0.3, None]
+    assert rows["geometry.size"] == ["edge lengths along x, y, z", "0.25, 0.25, 2", "m"]
+    assert rows["geometry.walls.z_min"] == ["face z = 0", "fixed", None]
+
+
+def test_a_report_names_commands_as_they_were_typed(monkeypatch):
+    monkeypatch.setenv("REPOSE_COMMAND", "./repose")
+    assert plan("column_small", [], "cpu")[0].command.startswith("./repose run column_small --mode implicit")
 
 
 @pytest.mark.parametrize("taken", ["explicit.damping=0.1", "explicit.until=2.0"])
@@ -324,9 +362,11 @@ def test_pareto_front_is_what_nothing_beats_in_both():
 
 def test_verdict_counts_and_names():
     checks = [check("a", 0.05, 0.1, ""), check("b", -0.2, 0.1, ""), check("c", None, 0.1, "")]
-    assert [one["holds"] for one in checks] == [True, False, None]
+    checks += [check("d", 2.5, 1.6, ""), check("e", 3.0, 0.0, "")]
+    assert [one["holds"] for one in checks] == [True, False, None, False, False]
     assert verdict(checks) == {
         "holds": False,
-        "sentence": "1 of 3 checks hold. These do not: b (-0.2, limit 0.1). These could not be judged: c.",
+        "sentence": "1 of 5 checks hold. These do not: b (-20.0%, 10% allowed); d (2.5, 1.6 allowed); e. "
+        "These could not be judged: c.",
     }
     assert verdict(checks[:1]) == {"holds": True, "sentence": "1 of 1 checks hold."}
