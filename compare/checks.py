@@ -58,15 +58,16 @@ def _relative(name: str, off: float | None, limit: float, said: str) -> dict:
 def _run_outs(deposits, scene: Scene) -> list[dict]:
     """R_995 of each solver against the other's and Eq. 4's."""
     implicit, explicit = (one and one["R_995"] for one in deposits[:2])
-    pairs = [("implicit", implicit, "explicit", explicit)]
+    pairs = [("implicit against explicit", implicit, "the explicit run", explicit)]
     if known := theory(scene)["eq4"]:
-        pairs += [("implicit", implicit, "Eq. 4", known), ("explicit", explicit, "Eq. 4", known)]
+        pairs += [("implicit against Eq. 4", implicit, "Eq. 4", known)]
+        pairs += [("explicit against Eq. 4", explicit, "Eq. 4", known)]
     found = []
-    for who, value, whose, reference in pairs:
+    for what, value, whose, reference in pairs:
         off, said = value / reference - 1.0 if value and reference else None, ""
         if off is not None:
             said = f": R_995 is {value:.3f}, that of {whose} {reference:.3f}"
-        found.append(_relative(f"run-out, {who} against {whose}", off, RUN_OUT_AGREES, said))
+        found.append(_relative(f"run-out, {what}", off, RUN_OUT_AGREES, said))
     return found
 
 
@@ -77,10 +78,10 @@ def _rest(outcome: Outcome) -> dict:
         return check(name, None, 0.0, FAILED)
     summary = outcome.summary
     if outcome.job.mode == "implicit":
-        state = f"the out-of-balance force is {summary['unbalanced_ratio']:.1e} of the external one"
+        state = f"the out-of-balance force is {summary['unbalanced_ratio']:.2g} of the external one"
         limit = f"{REST_UNBALANCED:g}"
     else:
-        state = f"the grid's kinetic energy is {summary['grid_ke_ratio']:.1e} of its peak"
+        state = f"the grid's kinetic energy is {summary['grid_ke_ratio']:.2g} of its peak"
         limit = f"{REST_KE:g}, or {REST_KE_OF_FALL:g} of M g h0,"
     at_rest = summary["stop_reason"] == "rest"
     answer = "yes" if at_rest else f"no ({HOW_ENDED[summary['stop_reason']]})"

@@ -27,6 +27,7 @@ from compare.plots.style import (
 from mpm.theory import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, has_eq4, quasistatic_profile, tan_phi, theory
 
 WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
+LONG_LABEL = 26  # letters of a label, of which two do not fit beside each other
 COLOURS = (ORANGE, GREEN, PURPLE, RED, SKY)  # of runs; blue is the implicit solver's
 SOLVER = {"implicit": (BLUE, "o", "-"), "explicit": (ORANGE, "s", "--")}  # colour, marker, line
 
@@ -226,8 +227,10 @@ def _panel(height):
 
 
 def _legend(axes):
-    """The legend above the panel, where it hides nothing."""
-    axes.legend(frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2, columnspacing=1.2, borderpad=0.2)
+    """The legend above the panel, where it hides nothing: in two columns where its labels leave room for that."""
+    columns = 1 if max(map(len, axes.get_legend_handles_labels()[1]), default=0) > LONG_LABEL else 2
+    place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": columns}
+    axes.legend(frameon=False, columnspacing=1.2, borderpad=0.2, **place)
 
 
 def _plain_numbers(*axes):

@@ -185,10 +185,12 @@ def test_run_outs_are_checked_against_the_other_solver_eq4_and_twice_the_cell():
         "run-out on twice the cell, explicit": (None, None),
     }
     said = {one["name"]: one["sentence"] for one in checks}
-    assert said["run-out, implicit against explicit"] == ("+6.7% (10% allowed): R_995 is 0.320, that of explicit 0.300")
+    assert said["run-out, implicit against explicit"] == (
+        "+6.7% (10% allowed): R_995 is 0.320, that of the explicit run 0.300"
+    )
     assert said["volume kept, implicit"] == "+6.0% (1% allowed)"
     assert said["steps that took another try, implicit"] == "3 of 40, 7.5% (5% allowed)"
-    assert said["came to rest, explicit"].startswith("yes: the grid's kinetic energy is 1.0e-05 of its peak; rest asks")
+    assert said["came to rest, explicit"].startswith("yes: the grid's kinetic energy is 1e-05 of its peak; rest asks")
     assert f"{REST_KE:g}, or {REST_KE_OF_FALL:g} of M g h0" in said["came to rest, explicit"]
     assert said["run-out on twice the cell, implicit"].startswith("+9.4% (10% allowed): R_995 is 0.350 on it")
     assert said["run-out on twice the cell, explicit"] == "not known: a run failed"
