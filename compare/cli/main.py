@@ -1,6 +1,5 @@
 """The command line: run, resume, plot, export, compare, study, bench, validate, scenes, info, demo."""
 
-import itertools
 import sys
 from enum import StrEnum
 from importlib import metadata
@@ -8,7 +7,6 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.table import Table
 
 from compare.cli.options import SpacedNumbers, SpacedWords
 from compare.cli.ranks import spread, take_part
@@ -237,33 +235,9 @@ def validate(
     table1: Annotated[bool, typer.Option("--table1", help="element, node and point counts of Table 1")] = False,
 ):
     """Check a scene file and say what `run` would compute, or refuse; nothing is run."""
-    from mpm.body import build
-    from mpm.load import load_scene
-    from mpm.precheck import refusals, refuse
-    from mpm.theory import theory
+    from compare.cli.inspection import print_checked
 
-    body = build(load_scene(scene, set_))
-    refuse(body, mode.value)
-    if mode is Mode.implicit:
-        runs_of(mode.value)
-    resolved = body.scene
-    out.print(f"{resolved.name}: valid. {len(body.x):,} points, cell {resolved.grid.cell:g} m")
-    for line in body.fit.lines() if body.fit else ():
-        out.print(line)
-    time = f"time scale sqrt(h0/g) = {body.time_scale:.4g} s"
-    if mode is Mode.explicit:
-        adaptive = resolved.explicit.cfl * resolved.grid.cell / body.constants.p_wave_speed
-        time = f"first time step {resolved.explicit.time_step or adaptive:.4g} s, {time}"
-    out.print(time)
-    other = Mode.implicit if mode is Mode.explicit else Mode.explicit
-    for problem in refusals(body, other.value):
-        out.print(f"the {other.value} solver would refuse it: {problem}")
-    run_outs = [f"{key} = {value:.4f}" for key, value in theory(resolved).items() if value is not None]
-    if run_outs:
-        out.print("run-out in theory: " + ", ".join(run_outs))
-    announce(body)
-    if table1:
-        out.print(_table1(body))
+    print_checked(scene, set_, mode.value, table1)
 
 
 @app.command()
@@ -274,44 +248,17 @@ def scenes(
     ] = None,
 ):
     """List the scenes that come with Repose."""
-    from mpm.load import preset_file, preset_names
+    from compare.cli.inspection import print_presets
 
-    if show is not None:
-        print(preset_file(show).read_text(encoding="utf-8"), end="")  # as it is: rich would wrap and colour it
-        return
-    for name in preset_names():
-        lines = preset_file(name).read_text(encoding="utf-8").splitlines()
-        heading = itertools.takewhile(lambda line: line.startswith("#"), lines)
-        out.print(f"{name:14} {' '.join(line.lstrip('# ') for line in heading)}")
+    print_presets(show)
 
 
 @app.command()
 def info():
     """Versions, devices, what is missing and how to get it."""
-    from mpm.provenance import PROJECT, git_commit, installed, warp_devices
+    from compare.cli.inspection import print_system
 
-    table = Table(box=None, padding=(0, 2))
-    for heading in ("package", "version", "needed for"):
-        table.add_column(heading)
-    packages, refusal = installed(), None
-    for package in packages:
-        table.add_row(package.name, package.version or "missing", package.needed_for)
-    try:
-        from implicit._dolfinx import libraries
-
-        for name, version in libraries().items():
-            table.add_row(name, version, "the implicit solver")
-    except SceneError as error:
-        refusal = error
-    out.print(table)
-    # Lines of their own: a table would break them, and they are there to be copied.
-    if missing := [package.name for package in packages if not package.version]:
-        out.print(f"to get {' and '.join(missing)}: run ./repose, which installs what it needs")
-    if refusal:
-        out.print(str(refusal))
-    for device in warp_devices():
-        out.print(f"device {device['alias']}: {device['name']}, {device['memory_mb']:,.0f} MB")
-    out.print(f"commit {git_commit(PROJECT)}")
+    print_system()
 
 
 @app.command()
@@ -392,29 +339,6 @@ def _draw(directory: Path) -> list[Path]:
     if results.scene.geometry.shape != "column":
         del drawings["profile.png"]  # over the radius, which only a column has
     return [save(draw(results), directory / name) for name, draw in drawings.items()]
-
-
-def _table1(body) -> Table:
-    """The paper's counts beside the nodes that are really stored."""
-    from explicit.solver import ExplicitSolver
-    from mpm.devices import find_device
-    from mpm.results import Results
-    from mpm.scene import Column
-    from mpm.walls import paper_grid
-
-    scene = body.scene
-    if not isinstance(scene.geometry, Column) or scene.geometry.symmetry != "quarter":
-        raise SceneError("--table1: Table 1 lists quarter columns only")
-    n_el, n_no = paper_grid(round(scene.geometry.radius / scene.grid.cell), scene.geometry.aspect_ratio)
-    table = Table(box=None, padding=(0, 2))
-    for heading in ("lambda0", "n_el", "n_no", "n_mp", "nodes stored at start", "nodes stored at most"):
-        table.add_column(heading, justify="right")
-    at_most, folder = "run it first", Path("runs") / f"{scene.name}-explicit"
-    if (folder / "summary.json").is_file() and Results.open(folder).scene == scene:
-        at_most = f"{Results.open(folder).summary()['nodes_stored_max']:,}"
-    start = ExplicitSolver(body, find_device("cpu")).nodes_stored_start
-    table.add_row(f"{scene.geometry.aspect_ratio:g}", str(n_el), str(n_no), str(len(body.x)), f"{start:,}", at_most)
-    return table
 
 
 def main():
