@@ -21,7 +21,8 @@ def main():
         [run for run in runs if run.provenance["mode"] == mode][-1] for mode in ("explicit", "implicit")
     )
     used = implicit.provenance
-    line = {"system": platform.freedesktop_os_release()["PRETTY_NAME"]}
+    line = {"scene": implicit.scene.name}
+    line |= {"system": platform.freedesktop_os_release()["PRETTY_NAME"]}
     line |= {name: used[name] for name in ("cpu", "python", "numpy", "warp", "dolfinx", "petsc", "mpi")}
     line |= {f"R_995 {run.summary()['mode']}": f"{run.summary()['R_995']:.4f}" for run in (explicit, implicit)}
     line |= {"Newton iterations": implicit.summary()["newton_iterations"], "demo [s]": seconds}

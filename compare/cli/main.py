@@ -40,7 +40,7 @@ class Precision(StrEnum):
     float64 = "float64"
 
 
-DEMO = ("column_small", [])  # scene and settings
+DEMO = ("column_sand", [])  # scene and settings
 
 study = typer.Typer(help="Many runs and a report of them; what is finished is kept.", no_args_is_help=True)
 app.add_typer(study, name="study")
@@ -263,7 +263,7 @@ def info():
 
 @app.command()
 def demo(directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path("runs/demo")):
-    """A small quarter column by both solvers, beside theory, as a page to open; replaces the last demo."""
+    """A quarter column of sand by both solvers, beside theory, as a page to open; replaces the last demo."""
     from compare.comparison import compare_solvers
 
     report = _reported(directory, True, compare_solvers, *DEMO, "cpu")

@@ -43,7 +43,7 @@ def test_the_shell_completes_names_of_presets(repose, monkeypatch, before):
     """Of files, as `my.to`, nothing is said: a shell completes them itself."""
     monkeypatch.setenv("_REPOSE_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_CWORD", str(1 + len(before.split())))
-    for typed, names in (("", preset_names()), ("column_s", ["column_small"]), ("my.to", [])):
+    for typed, names in (("", preset_names()), ("column_sm", ["column_small"]), ("my.to", [])):
         monkeypatch.setenv("COMP_WORDS", f"repose {before} {typed}")
         answer = repose()
         assert (answer.code, answer.out.split()) == (0, names)

@@ -99,6 +99,15 @@ def test_the_report_is_made_of_what_the_runs_say(compared):
     assert report["provenance"]["report made by"].startswith("repose compare column_small --set grid.cell=0.25")
 
 
+@pytest.mark.slow
+def test_all_checks_hold_of_the_column_that_a_first_comparison_is_made_with(tmp_path):
+    """`repose demo` and the pages compare column_sand: 10 cells per r0, 40 s of one core."""
+    assert cli.DEMO == ("column_sand", [])
+    assert repose("compare", "column_sand", "--out", tmp_path / "out") == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["verdict"] == {"holds": True, "sentence": "11 of 11 checks hold."}
+
+
 @pytest.mark.parametrize("width", [1280, 420])
 def test_browser_shows_every_figure_and_table(compared, tmp_path, width):
     folder, report = compared

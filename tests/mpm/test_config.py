@@ -56,8 +56,8 @@ friction_angle = 30
 # Presets
 
 
-def test_the_presets_are_the_papers_columns_and_three_small_scenes():
-    assert set(preset_names()) == {*PAPER, "column_small", "elastic_bar", "self_weight"}
+def test_the_presets_are_the_papers_columns_and_four_small_scenes():
+    assert set(preset_names()) == {*PAPER, "column_small", "column_sand", "elastic_bar", "self_weight"}
 
 
 @pytest.mark.parametrize("name", preset_names())
