@@ -28,15 +28,16 @@ def quasistatic_checks(
     scene = outcomes[0].job.scene
     found = _run_outs(deposits, scene) if collapsed else []
     apart = distances.get("implicit from explicit")
-    said = FAILED if apart is None else f"{apart:.1%} of the deposit's volume lies between them"
-    found.append(check("profile, implicit against explicit", apart, PROFILE_AGREES, f"{said}{allowed(PROFILE_AGREES)}"))
+    said = FAILED
+    if apart is not None:
+        said = f"{apart:.1%} of the deposit's volume lies between them{_allowed(PROFILE_AGREES)}"
+    found.append(check("profile, implicit against explicit", apart, PROFILE_AGREES, said))
     found += [_rest(one) for one, _ in fine]
     found.append(_steps(outcomes[0].summary))
     if scene.material.model == "drucker_prager" and scene.material.dilatancy_angle == 0:
         for one, measured in fine:
             gain = measured["volume_error"] if measured else None
-            said = FAILED if gain is None else f"{gain:+.1%}"
-            found.append(check(f"volume kept, {one.job.mode}", gain, VOLUME_KEPT, f"{said}{allowed(VOLUME_KEPT)}"))
+            found.append(_relative(f"volume kept, {one.job.mode}", gain, VOLUME_KEPT))
     for (one, measured), coarser in zip(fine, coarse, strict=False) if collapsed else ():
         off, said = coarser["R_995"] / measured["R_995"] - 1.0 if coarser and measured else None, ""
         if off is not None:
@@ -45,14 +46,14 @@ def quasistatic_checks(
     return found
 
 
-def allowed(limit: float) -> str:
+def _allowed(limit: float) -> str:
     """The limit of a share, as a sentence adds it."""
     return f" ({limit:.0%} allowed)"
 
 
-def _relative(name: str, off: float | None, limit: float, said: str) -> dict:
-    """A check of the relative difference `off`, None where a run failed; `said`: what it is a difference of."""
-    return check(name, off, limit, FAILED if off is None else f"{off:+.1%}{allowed(limit)}{said}")
+def _relative(name: str, off: float | None, limit: float, said: str = "") -> dict:
+    """A check of the relative difference `off`, None where a run failed; `said`: of what numbers."""
+    return check(name, off, limit, FAILED if off is None else f"{off:+.1%}{_allowed(limit)}{said}")
 
 
 def _run_outs(deposits, scene: Scene) -> list[dict]:
@@ -91,9 +92,9 @@ def _rest(outcome: Outcome) -> dict:
 
 def _steps(summary: dict | None) -> dict:
     """How often Newton had to try again, over the steps of the implicit run."""
-    name = "steps that took another try, implicit"
+    name = "tries that failed, implicit"
     if not summary:
         return check(name, None, FEW_FAILED, FAILED)
     share = summary["failed_steps"] / summary["steps"]
-    said = f"{summary['failed_steps']} of {summary['steps']}, {share:.1%}{allowed(FEW_FAILED)}"
+    said = f"{summary['failed_steps']} in {summary['steps']} steps, {share:.1%}{_allowed(FEW_FAILED)}"
     return check(name, share, FEW_FAILED, said)
