@@ -1,0 +1,136 @@
+"""What the explicit step asks of a GPU, counted in its compiled kernels: no GPU is needed.
+
+    python benchmarks/gpu_counts.py [--arch 90] [--label "four launches" --out benchmarks/results/gpu_counts.csv]
+
+A row a launch of a step, appended to the table: registers and local memory [bytes] of a thread, and how many reductions
+(`red`, `atom`) and bytes of loads and stores in global memory its code has, which is less than a thread does where
+there are loops. Registers need `cuobjdump` (pip install nvidia-cuda-cuobjdump).
+"""
+
+import argparse
+import csv
+import re
+import shutil
+import subprocess
+import tempfile
+from importlib.metadata import PackageNotFoundError, files
+from pathlib import Path
+
+import warp as wp
+
+from explicit.solver import ExplicitSolver
+from mpm.body import build
+from mpm.devices import start_warp
+from mpm.load import load_scene
+
+NUMBER_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
+
+
+def name_of(kernel) -> str:
+    """A kernel's own name, without that of the function that makes it."""
+    return kernel.key.rpartition("__")[2]
+
+
+def step_of(real) -> list:
+    """The kernels of one step as a GPU takes it, in order."""
+    settings = ["grid.cell=0.25", f"explicit.precision={real.__name__}", "explicit.damping=0.05"]
+    solver = ExplicitSolver(build(load_scene("column_0.5", settings)), "cpu")
+    return [launch.kernel for launch in solver._phases]
+
+
+def compiled(module, arch: int, folder: Path, ptx: bool) -> Path:
+    """A module's code for sm_`arch`, as PTX or as machine code."""
+    wp.compile_aot_module(module, arch=arch, module_dir=folder, use_ptx=ptx)
+    (path,) = folder.glob(f"*{module.name}*.{'ptx' if ptx else 'cubin'}")
+    return path
+
+
+def ptx_of(kernel, ptx: str) -> str:
+    """The PTX of one kernel of a module."""
+    (text,) = [part for part in ptx.split(".entry ")[1:] if f"__{name_of(kernel)}_" in part.partition("(")[0]]
+    return text
+
+
+def reductions(text: str) -> dict[str, int]:
+    """Reductions in global memory in a kernel's PTX, by kind: "red.v4.f32", "red.f64", "atom.max.u32", ..."""
+    found = re.findall(r"\b(red|atom)\.(?:global\.)?(?:add\.)?([\w.]+)", text)
+    kinds = [f"{kind}.{what}" for kind, what in found]
+    return {kind: kinds.count(kind) for kind in sorted(set(kinds))}
+
+
+def bytes_moved(text: str) -> int:
+    """Bytes of the loads and stores in global memory in a kernel's PTX."""
+    found = re.findall(r"\b(?:ld|st)\.global(?:\.\w+)*?(?:\.v(\d))?\.[usbf](\d+)", text)
+    return sum(int(wide or 1) * NUMBER_BYTES[bits] for wide, bits in found)
+
+
+def cuobjdump() -> str | None:
+    """Where `cuobjdump` is; None where it is not."""
+    if found := shutil.which("cuobjdump"):
+        return found
+    try:
+        inside = [path for path in files("nvidia-cuda-cuobjdump") if path.name == "cuobjdump"]
+    except PackageNotFoundError:
+        return None
+    return str(inside[0].locate())
+
+
+def resources(kernels, cubin: Path) -> list[tuple[int, int]]:
+    """Registers and bytes of local memory of a thread of each kernel in machine code."""
+    text = subprocess.run([cuobjdump(), "-res-usage", cubin], capture_output=True, text=True, check=True).stdout
+    used = []
+    for kernel in kernels:
+        found = re.search(rf"__{name_of(kernel)}_\w+:\s+REG:(\d+) STACK:(\d+) SHARED:\d+ LOCAL:(\d+)", text)
+        registers, stack, local = map(int, found.groups())
+        used.append((registers, stack + local))
+    return used
+
+
+def counts(real, arch: int):
+    """The rows of the table for one precision."""
+    kernels = step_of(real)
+    with tempfile.TemporaryDirectory() as folder:
+        ptx = {module: compiled(module, arch, Path(folder), True).read_text() for module in modules(kernels)}
+        cubins = {module: compiled(module, arch, Path(folder), False) for module in modules(kernels)}
+        for kernel in kernels:
+            ((registers, local),) = resources([kernel], cubins[kernel.module])
+            text = ptx_of(kernel, ptx[kernel.module])
+            yield {
+                "precision": real.__name__,
+                "kernel": name_of(kernel),
+                "registers": registers,
+                "local_bytes": local,
+                "reductions": " ".join(f"{count} {kind}" for kind, count in reductions(text).items()),
+                "bytes": bytes_moved(text),
+            }
+
+
+def modules(kernels) -> set:
+    """The Warp modules that kernels are in."""
+    return {kernel.module for kernel in kernels}
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--arch", type=int, default=90, help="compute capability: 80, 90, 120")
+    parser.add_argument("--label", default="present", help="what the step is called in the table")
+    parser.add_argument("--out", type=Path)
+    options = parser.parse_args()
+    if cuobjdump() is None:
+        parser.error("no cuobjdump in PATH; pip install nvidia-cuda-cuobjdump brings one")
+    start_warp()
+    code = {"step": options.label, "arch": options.arch}
+    rows = [code | row for real in (wp.float32, wp.float64) for row in counts(real, options.arch)]
+    for row in rows:
+        print("  ".join(f"{value!s:<{24 if key == 'kernel' else 10}}" for key, value in row.items()))
+    if options.out:
+        new = not options.out.exists()
+        with options.out.open("a", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]))
+            if new:
+                writer.writeheader()
+            writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()
