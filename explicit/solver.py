@@ -53,6 +53,7 @@ class ExplicitSolver:
         self.clock = self._zeros(K.CLOCK_SIZE, wp.float64)
         self.speed = self._zeros(K.SPEED_SIZE, self.real)
         self.fault = self._zeros(K.FAULT_SIZE, wp.int32)
+        self.plan = self._zeros(K.CLOCK_SIZE, wp.float64)  # what the clock will be in the next step
         # One column on the CPU: its sum does not depend on how nodes are numbered, so restarts are exact.
         columns = LEDGER_COLUMNS_CUDA if self.device.is_cuda else 1
         self.ledger = self._zeros((K.LEDGER_ROWS, columns), wp.float64)
@@ -200,7 +201,7 @@ class ExplicitSolver:
         where, law = (setup, pencils, clock, self.arrays), (setup, material, pencils, clock, self.arrays)
 
         phases = [
-            (k.begin_step, 1, (setup, clock, self.speed, fault)),
+            (k.begin_step, 1, (setup, clock, self.speed, fault, self.plan)),
             (k.clear_grid, nodes, (clock, momentum, force, mapped, dilation)),
             (k.p2g, n, (*where, momentum, force)),
             (k.update_grid, nodes, (setup, walls, pencils, clock, pencil_of, momentum, force, self.counted, ledger)),

@@ -42,14 +42,28 @@ def clock_kernels(real):
         clock[TRAVEL] = float64(0.0)
         clock[DT] = float64(0.0)
 
-    @wp.kernel(module=name)
-    def begin_step(
+    @wp.func(module=name)
+    def goes_on(
         setup: Setup,
         clock: wp.array(dtype=float64),
         speed: wp.array(dtype=real),
         fault: wp.array(dtype=wp.int32),
     ):
-        clock[TRAVEL] = clock[TRAVEL] + float64(speed[CARRIED]) * clock[DT]
+        """1 where the stored nodes still serve the points after the step that `clock` is at, and none is at fault."""
+        travel = clock[TRAVEL] + float64(speed[CARRIED]) * clock[DT]
+        if travel > setup.margin or fault[NOT_FINITE] + fault[TOO_FAST] + fault[INVERTED] + fault[OFF_GRID] > 0:
+            return 0
+        return 1
+
+    @wp.func(module=name)
+    def plan_step(
+        setup: Setup,
+        clock: wp.array(dtype=float64),
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+        plan: wp.array(dtype=float64),
+    ):
+        """Work out what `clock` will be in the next step, under its names, in `plan`."""
         cell = float64(setup.cell)
         limit = cell / (setup.wave + float64(wp.max(wp.max(speed[0], speed[1]), speed[2])))
         dt = setup.fixed_dt
@@ -62,24 +76,51 @@ def clock_kernels(real):
         finished = time + dt * float64(1.0 + 1.0e-6) >= clock[TARGET]
         if finished:
             dt = left
-        faults = fault[NOT_FINITE] + fault[TOO_FAST] + fault[INVERTED] + fault[OFF_GRID] + fault[OVER_LIMIT]
-        if clock[TRAVEL] > setup.margin or faults > 0:
+        if goes_on(setup, clock, speed, fault) == 0 or fault[OVER_LIMIT] > 0:
             dt = float64(0.0)
+        plan[TRAVEL] = clock[TRAVEL] + float64(speed[CARRIED]) * clock[DT]
+        plan[TIME] = time
+        plan[STEPS] = clock[STEPS]
+        plan[GRAVITY] = clock[GRAVITY]
+        plan[DT] = dt
         if dt > float64(0.0):
             g = setup.gravity
             if time < setup.ramp:
                 g = g * time / setup.ramp
-            clock[GRAVITY] = g
-            clock[TIME] = time + dt
+            plan[GRAVITY] = g
+            plan[TIME] = time + dt
             if finished:
-                clock[TIME] = clock[TARGET]
-            clock[STEPS] = clock[STEPS] + float64(1.0)
+                plan[TIME] = clock[TARGET]
+            plan[STEPS] = clock[STEPS] + float64(1.0)
+
+    @wp.func(module=name)
+    def follow_plan(plan: wp.array(dtype=float64), clock: wp.array(dtype=float64), speed: wp.array(dtype=real)):
+        """Start the step that was planned, if it has a length; what was planned once may be followed twice."""
+        clock[TRAVEL] = plan[TRAVEL]
+        clock[TIME] = plan[TIME]
+        clock[STEPS] = plan[STEPS]
+        clock[GRAVITY] = plan[GRAVITY]
+        clock[DT] = plan[DT]
+        if plan[DT] > float64(0.0):
             for axis in range(4):
                 speed[axis] = zero
-        clock[DT] = dt
+
+    @wp.kernel(module=name)
+    def begin_step(
+        setup: Setup,
+        clock: wp.array(dtype=float64),
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+        plan: wp.array(dtype=float64),
+    ):
+        plan_step(setup, clock, speed, fault, plan)
+        follow_plan(plan, clock, speed)
 
     return SimpleNamespace(
         set_target=set_target,
         reset_travel=reset_travel,
         begin_step=begin_step,
+        goes_on=goes_on,
+        plan_step=plan_step,
+        follow_plan=follow_plan,
     )

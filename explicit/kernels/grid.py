@@ -70,6 +70,46 @@ def grid_kernels(real):
         node_mapped[n] = vec4(zero, zero, zero, zero)
         node_dilation[n] = zero
 
+    @wp.func(module=name)
+    def balance(setup: Setup, mask: vec3, m: real, momentum: vec3, force: vec3, dt: real, gravity: real):
+        """Momentum balance of a node: velocity after the step, its increment and the force of local damping.
+
+        `mask` has 1 on free components, `force` no weight: of the points' weights a node bears m g.
+        """
+        v = wp.cw_mul(mask, momentum / m)
+        f = wp.cw_mul(mask, force - vec3(zero, zero, m * gravity))
+        damped = vec3(zero, zero, zero)
+        if setup.damping > zero:
+            size = setup.damping * wp.length(f)
+            for axis in range(3):
+                if wp.abs(v[axis]) > setup.still:
+                    damped[axis] = size * wp.sign(v[axis])  # held components are still
+        dv = dt * ((f - damped) / m)
+        return v + dv, dv, damped
+
+    @wp.func(module=name)
+    def record_work(
+        setup: Setup,
+        ledger: wp.array2d(dtype=float64),
+        n: int,
+        m: real,
+        v: vec3,
+        damped: vec3,
+        dt: real,
+        gravity: real,
+    ):
+        """Work of gravity and of local damping on a node in a step that gives it velocity `v`."""
+        lifted = -m * gravity * v[2] * dt
+        wp.atomic_add(ledger, WORK_EXTERNAL, n % ledger.shape[1], float64(lifted))
+        if setup.damping > zero:
+            wp.atomic_add(ledger, WORK_DAMPING, n % ledger.shape[1], float64(wp.dot(damped, v) * dt))
+
+    @wp.func(module=name)
+    def mapped_velocity(mask: vec3, momentum: vec4, inverse_mass: real):
+        """Velocity of the second mapping, with 0 in the fourth component."""
+        v = inverse_mass * momentum
+        return vec4(mask[0] * v[0], mask[1] * v[1], mask[2] * v[2], zero)
+
     @wp.kernel(module=name)
     def update_grid(
         setup: Setup,
@@ -91,25 +131,15 @@ def grid_kernels(real):
         m = q[0]
         if m > zero:
             mask = node_mask(walls, pencils, pencil_of, n)
-            v = wp.cw_mul(mask, vec3(q[1], q[2], q[3]) / m)
-            f = wp.cw_mul(mask, vec3(node_force[n][0], node_force[n][1], node_force[n][2]))
-            damped = vec3(zero, zero, zero)
-            if setup.damping > zero:
-                size = setup.damping * wp.length(f)
-                for axis in range(3):
-                    if wp.abs(v[axis]) > setup.still:
-                        damped[axis] = size * wp.sign(v[axis])  # held components are still
-            dv = dt * ((f - damped) / m)
-            v_new = v + dv
-            node_momentum[n] = vec4(m, v_new[0], v_new[1], v_new[2])
-            node_force[n] = vec4(dv[0], dv[1], dv[2], node_force[n][3])
+            f = node_force[n]
+            gravity = real(clock[GRAVITY])
+            v, dv, damped = balance(setup, mask, m, vec3(q[1], q[2], q[3]), vec3(f[0], f[1], f[2]), dt, gravity)
+            node_momentum[n] = vec4(m, v[0], v[1], v[2])
+            node_force[n] = vec4(dv[0], dv[1], dv[2], f[3])
             if counted.shape[0] > 0:  # noqa: SIM102 (Warp would read counted[n] all the same)
                 if counted[n] == 0:
                     return
-            lifted = -m * real(clock[GRAVITY]) * v_new[2] * dt
-            wp.atomic_add(ledger, WORK_EXTERNAL, n % ledger.shape[1], float64(lifted))
-            if setup.damping > zero:
-                wp.atomic_add(ledger, WORK_DAMPING, n % ledger.shape[1], float64(wp.dot(damped, v_new) * dt))
+            record_work(setup, ledger, n, m, v, damped, dt, gravity)
 
     @wp.kernel(module=name)
     def hold_walls(
@@ -127,11 +157,15 @@ def grid_kernels(real):
         m = node_velocity[n][0]
         if m > zero:
             mask = node_mask(walls, pencils, pencil_of, n)
-            q = node_mapped[n] / m
-            node_mapped[n] = vec4(mask[0] * q[0], mask[1] * q[1], mask[2] * q[2], zero)
+            node_mapped[n] = mapped_velocity(mask, node_mapped[n], one / m)
 
     return SimpleNamespace(
         clear_grid=clear_grid,
         update_grid=update_grid,
         hold_walls=hold_walls,
+        balance=balance,
+        record_work=record_work,
+        mapped_velocity=mapped_velocity,
+        node_mask=node_mask,
+        free_components=free_components,
     )

@@ -17,6 +17,7 @@ def simd(real):
     """Return the functions for `real` (wp.float32 or wp.float64).
 
     Members, `w` a weight, `a` and `b` vec4: `scaled(w, a)` = w a; `add_scaled(w, a, b)` = w a + b;
+    `load(nodes, n)` = nodes[n];
     `gather(nodes, n, w)` = w[0] nodes[n] + w[1] nodes[n + 1] + w[2] nodes[n + 2], the sum over a pencil's nodes;
     `add(nodes, n, a)`: nodes[n] += a, atomic on a GPU; Warp's CPU device has one thread.
     """
@@ -47,8 +48,8 @@ def simd(real):
     node = "((const lanes*)(nodes.data + n))"
     wide, parts = ("float4", "xyzw") if single else ("double2", "xy")
     halves = 4 // len(parts)  # wide loads a node
-    load = f"const {wide}* at = reinterpret_cast<const {wide}*>(nodes.data + n);"
-    load += "".join(f"const {wide} n{k} = at[{k}];" for k in range(3 * halves))
+    read = f"const {wide}* at = reinterpret_cast<const {wide}*>(nodes.data + n);"
+    read += "".join(f"const {wide} n{k} = at[{k}];" for k in range(3 * halves))
     sums = ", ".join(
         " + ".join(f"w[{c}] * n{halves * c + half}.{part}" for c in range(3))
         for half in range(halves)
@@ -57,10 +58,22 @@ def simd(real):
 
     @wp.func_native(
         snippet(
-            f"w[0] * {node}[0] + w[1] * {node}[1] + w[2] * {node}[2]", f"{load} return wp::vec_t<4, {number}>({sums});"
+            f"w[0] * {node}[0] + w[1] * {node}[1] + w[2] * {node}[2]", f"{read} return wp::vec_t<4, {number}>({sums});"
         )
     )
     def gather(nodes: wp.array(dtype=vec4), n: int, w: vec3) -> vec4: ...
+
+    whole = ", ".join(f"at[{half}].{part}" for half in range(halves) for part in parts)
+
+    @wp.func_native(f"""
+        #if defined(__CUDA_ARCH__)
+        const {wide}* at = reinterpret_cast<const {wide}*>(nodes.data + n);
+        return wp::vec_t<4, {number}>({whole});
+        #else
+        return nodes.data[n];
+        #endif
+    """)
+    def load(nodes: wp.array(dtype=vec4), n: int) -> vec4: ...
 
     one_by_one = f"""
         for (int c = 0; c < 4; ++c)
@@ -88,4 +101,4 @@ def simd(real):
     """)
     def add(nodes: wp.array(dtype=vec4), n: int, a: vec4): ...
 
-    return SimpleNamespace(scaled=scaled, add_scaled=add_scaled, gather=gather, add=add)
+    return SimpleNamespace(scaled=scaled, add_scaled=add_scaled, load=load, gather=gather, add=add)

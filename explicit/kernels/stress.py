@@ -59,6 +59,78 @@ def stress_kernels(real):
             return x * (one - x * (half - x * (third - x * (quarter - x * (fifth - x * sixth)))))
         return wp.log(one + x)
 
+    @wp.func(module=name)
+    def trial_stress(setup: Setup, material: Material, old: vec6, lx: vec4, ly: vec4, lz: vec4):
+        """Trial deviator of a point whose Kirchhoff stress was `old`, its mass times ln det F, and 1 where det F <= 0.
+
+        `lx`, `ly`, `lz`: columns of dL = dt grad v, in their first three components.
+        """
+        # det(I + dL) - 1 without the 1, which float32 would round to
+        trace = lx[0] + ly[1] + lz[2]
+        minors = lx[0] * ly[1] - ly[0] * lx[1] + lx[0] * lz[2] - lz[0] * lx[2] + ly[1] * lz[2] - lz[1] * ly[2]
+        cube = wp.determinant(mat33(lx[0], ly[0], lz[0], lx[1], ly[1], lz[1], lx[2], ly[2], lz[2]))
+        growth = trace + minors + cube
+        inverted = wp.int32(0)
+        if growth <= -one:
+            inverted = wp.int32(1)
+            growth = zero
+        m_d = setup.mass * log_of_one_plus(growth)
+        spin = half * vec3(ly[2] - lz[1], lz[0] - lx[2], lx[1] - ly[0])
+        s = rotate(old, spin)
+        g2 = two * material.shear
+        even = g2 * third * trace + third * (old[0] + old[1] + old[2])
+        trial = vec6(
+            s[0] + g2 * lx[0] - even,
+            s[1] + g2 * ly[1] - even,
+            s[2] + g2 * lz[2] - even,
+            s[3] + material.shear * (ly[2] + lz[1]),
+            s[4] + material.shear * (lx[2] + lz[0]),
+            s[5] + material.shear * (lx[1] + ly[0]),
+        )
+        return trial, m_d, inverted
+
+    @wp.func(module=name)
+    def given_by_node(material: Material, m_d: real, m_theta: real, inverse_mass: real):
+        """Pressure law at a node: (d, tau_m, gap, 0) from the sums of m ln det F and of m theta before the step.
+
+        theta of the nodes takes its last increment as it is, where theta of the points takes the average of the
+        averages: equal but for one increment, and one scatter less.
+        """
+        d = inverse_mass * m_d
+        theta = inverse_mass * m_theta + d
+        return vec4(d, node_law(theta, material), node_gap(theta, material), zero)
+
+    @wp.func(module=name)
+    def returned(
+        setup: Setup,
+        material: Material,
+        points: Points,
+        p: int,
+        given: vec4,
+        ledger: wp.array2d(dtype=float64),
+    ):
+        """Kirchhoff stress and theta of point `p`: mean stress from the nodes, trial deviator returned to the cone.
+
+        `given`: what `given_by_node` gives, at the point. What the point has dilated and yielded is counted.
+        """
+        grown = points.theta[p] + given[0]
+        mean = given[1]
+        s = points.tau[p]
+        if material.plastic > 0:
+            root_j2 = wp.sqrt(second_invariant(s))
+            mean, scale, dilation, d_eps, work = return_map(given[1], given[2], root_j2, material)
+            s = scale * s
+            if d_eps > zero:
+                points.eps_p_eqv[p] = points.eps_p_eqv[p] + d_eps
+                wp.atomic_add(ledger, WORK_PLASTIC, p & (ledger.shape[1] - 1), float64(work) * float64(setup.volume))
+            if dilation > zero:
+                grown = grown - dilation
+                points.dilated[p] = points.dilated[p] + dilation
+        s[0] = s[0] + mean
+        s[1] = s[1] + mean
+        s[2] = s[2] + mean
+        return s, grown
+
     @wp.kernel(module=name)
     def strain_points(
         setup: Setup,
@@ -89,31 +161,10 @@ def stress_kernels(real):
             lx = add_scaled(dx[a], mean, lx)
             ly = add_scaled(sx[a], bent, ly)
             lz = add_scaled(sx[a], slope, lz)
-        lx = dt * lx
-        ly = dt * ly
-        lz = dt * lz
-        # columns lx, ly, lz of dL = dt grad v; det(I + dL) - 1 without the 1, which float32 would round to
-        trace = lx[0] + ly[1] + lz[2]
-        minors = lx[0] * ly[1] - ly[0] * lx[1] + lx[0] * lz[2] - lz[0] * lx[2] + ly[1] * lz[2] - lz[1] * ly[2]
-        cube = wp.determinant(mat33(lx[0], ly[0], lz[0], lx[1], ly[1], lz[1], lx[2], ly[2], lz[2]))
-        growth = trace + minors + cube
-        if growth <= -one:
+        trial, m_d, inverted = trial_stress(setup, material, points.tau[p], dt * lx, dt * ly, dt * lz)
+        if inverted > 0:
             wp.atomic_max(fault, INVERTED, p + 1)
-            growth = zero
-        m_d = setup.mass * log_of_one_plus(growth)
-        spin = half * vec3(ly[2] - lz[1], lz[0] - lx[2], lx[1] - ly[0])
-        old = points.tau[p]
-        s = rotate(old, spin)
-        g2 = two * material.shear
-        even = g2 * third * trace + third * (old[0] + old[1] + old[2])
-        points.tau[p] = vec6(
-            s[0] + g2 * lx[0] - even,
-            s[1] + g2 * ly[1] - even,
-            s[2] + g2 * lz[2] - even,
-            s[3] + material.shear * (ly[2] + lz[1]),
-            s[4] + material.shear * (lx[2] + lz[0]),
-            s[5] + material.shear * (lx[1] + ly[0]),
-        )
+        points.tau[p] = trial
         for a in range(3):
             for b in range(3):
                 wxy = sx[a] * sy[b]
@@ -130,19 +181,13 @@ def stress_kernels(real):
         node_dilation: wp.array(dtype=real),
         node_force: wp.array(dtype=vec4),
     ):
-        """Pressure law at the nodes: (d, tau_m, gap, 0) into `node_force`, which holds m theta before the step.
-
-        theta of the nodes takes its last increment as it is, where theta of the points takes the average of the
-        averages: equal but for one increment, and one scatter less.
-        """
+        """What the pressure law gives into `node_force`, which holds m theta before the step."""
         if clock[DT] == float64(0.0):
             return
         n = wp.tid()
         m = node_velocity[n][0]
         if m > zero:
-            d = node_dilation[n] / m
-            theta = node_force[n][3] / m + d
-            node_force[n] = vec4(d, node_law(theta, material), node_gap(theta, material), zero)
+            node_force[n] = given_by_node(material, node_dilation[n], node_force[n][3], one / m)
 
     @wp.kernel(module=name)
     def update_stress(
@@ -151,10 +196,10 @@ def stress_kernels(real):
         pencils: Pencils,
         clock: wp.array(dtype=float64),
         points: Points,
-        node_law_values: wp.array(dtype=vec4),
+        node_given: wp.array(dtype=vec4),
         ledger: wp.array2d(dtype=float64),
     ):
-        """Mean stress from the nodes, trial deviator returned to the cone; then the point moves."""
+        """Stress of the points from what the nodes give; then the points move."""
         dt = real(clock[DT])
         if dt == zero:
             return
@@ -165,29 +210,17 @@ def stress_kernels(real):
         for a in range(3):
             for b in range(3):
                 n = node_of(pencils, i + a, j + b, k)
-                given = add_scaled(sx[a] * sy[b], gather(node_law_values, n, sz), given)
-        grown = points.theta[p] + given[0]
-        mean = given[1]
-        s = points.tau[p]
-        if material.plastic > 0:
-            root_j2 = wp.sqrt(second_invariant(s))
-            mean, scale, dilation, d_eps, work = return_map(given[1], given[2], root_j2, material)
-            s = scale * s
-            if d_eps > zero:
-                points.eps_p_eqv[p] = points.eps_p_eqv[p] + d_eps
-                wp.atomic_add(ledger, WORK_PLASTIC, p & (ledger.shape[1] - 1), float64(work) * float64(setup.volume))
-            if dilation > zero:
-                grown = grown - dilation
-                points.dilated[p] = points.dilated[p] + dilation
-        points.theta[p] = grown
-        s[0] = s[0] + mean
-        s[1] = s[1] + mean
-        s[2] = s[2] + mean
-        points.tau[p] = s
+                given = add_scaled(sx[a] * sy[b], gather(node_given, n, sz), given)
+        tau, theta = returned(setup, material, points, p, given, ledger)
+        points.tau[p] = tau
+        points.theta[p] = theta
         points.x[p] = xp + dt * points.carry[p]
 
     return SimpleNamespace(
         strain_points=strain_points,
         apply_node_law=apply_node_law,
         update_stress=update_stress,
+        trial_stress=trial_stress,
+        given_by_node=given_by_node,
+        returned=returned,
     )

@@ -9,7 +9,8 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.layout import CARRIED, DT, GRAVITY, NOT_FINITE, TOO_FAST, WORK_DECAY, layout
+from explicit.kernels.layout import CARRIED, DT, NOT_FINITE, TOO_FAST, WORK_DECAY, layout
+from explicit.kernels.reductions import reductions
 from explicit.kernels.simd import simd
 from mpm.gimp import gimp
 
@@ -21,6 +22,7 @@ def transfer_kernels(real):
     name = types.name
     vec3 = types.vec3
     vec4 = types.vec4
+    vec6 = types.vec6
     Points = types.Points
     Pencils = types.Pencils
     Setup = types.Setup
@@ -28,7 +30,81 @@ def transfer_kernels(real):
     float64 = wp.float64
     stencil, reached = gimp(real).stencil, gimp(real).reached
     scaled, add_scaled, gather, add = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "gather", "add"))
+    raise_to = reductions(real).raise_to
     zero, half, one = (wp.constant(real(value)) for value in (0.0, 0.5, 1.0))
+
+    @wp.func(module=name)
+    def point_load(setup: Setup, v: vec3, tau: vec6, theta: real):
+        """What a point hands to nodes: (m, m v), the columns of -V0 tau, and m theta in the fourth component."""
+        m = setup.mass
+        s = -setup.volume * tau
+        return (
+            vec4(m, m * v[0], m * v[1], m * v[2]),
+            vec4(s[0], s[5], s[4], zero),
+            vec4(s[5], s[1], s[3], zero),
+            vec4(s[4], s[3], s[2], zero),
+            vec4(zero, zero, zero, m * theta),
+        )
+
+    @wp.func(module=name)
+    def flip(setup: Setup, v: vec3, moved: vec4, gained: vec4, dt: real):
+        """FLIP velocity of a point that had `v`, the velocity that will carry it, and the energy [J] that it loses.
+
+        `moved`, `gained`: the nodes' (m, v) and velocity increments at the point.
+        """
+        vp = v + vec3(gained[0], gained[1], gained[2])
+        carried = vec3(moved[1], moved[2], moved[3])
+        work = zero
+        if setup.decay > zero:
+            # On what the grid does not see of v no force ever acts: without a decay points shake for ever and a heap
+            # creeps.
+            lost = wp.min(setup.decay * dt, one) * (vp - carried)
+            work = setup.mass * (wp.dot(vp, lost) - half * wp.dot(lost, lost))
+            vp = vp - lost
+        return vp, carried, work
+
+    @wp.func(module=name)
+    def gather_velocity(
+        pencils: Pencils,
+        i: int,
+        j: int,
+        k: int,
+        sx: vec3,
+        sy: vec3,
+        sz: vec3,
+        node_velocity: wp.array(dtype=vec4),
+        node_increment: wp.array(dtype=vec4),
+    ):
+        """The nodes' (m, v) and velocity increments at a point."""
+        moved = vec4(zero, zero, zero, zero)
+        gained = vec4(zero, zero, zero, zero)
+        for a in range(3):
+            for b in range(3):
+                wxy = sx[a] * sy[b]
+                n = node_of(pencils, i + a, j + b, k)
+                moved = add_scaled(wxy, gather(node_velocity, n, sz), moved)
+                gained = add_scaled(wxy, gather(node_increment, n, sz), gained)
+        return moved, gained
+
+    @wp.func(module=name)
+    def watch(
+        setup: Setup,
+        p: int,
+        v: vec3,
+        carried: vec3,
+        dt: real,
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+    ):
+        """Record the speeds of point `p`, and what is wrong with them."""
+        fastest = wp.max(wp.max(wp.abs(carried[0]), wp.abs(carried[1])), wp.abs(carried[2]))
+        for axis in range(3):
+            raise_to(speed, axis, wp.abs(v[axis]))
+        raise_to(speed, CARRIED, fastest)
+        if not (wp.isfinite(wp.dot(v, v)) and wp.isfinite(wp.dot(carried, carried))):
+            wp.atomic_max(fault, NOT_FINITE, p + 1)
+        if fastest * dt > half * setup.cell:
+            wp.atomic_max(fault, TOO_FAST, p + 1)
 
     @wp.kernel(module=name)
     def p2g(
@@ -39,23 +115,16 @@ def transfer_kernels(real):
         node_momentum: wp.array(dtype=vec4),
         node_force: wp.array(dtype=vec4),
     ):
-        """Mass and momentum; force -V0 tau grad N - N m g e_z, and mass times volume strain beside it."""
+        """Mass and momentum; force -V0 tau grad N, and mass times volume strain beside it."""
         if clock[DT] == float64(0.0):
             return
         p = wp.tid()
         i, j, k, sx, sy, sz, dx, dy, dz = stencil(points.x[p], setup.inv_cell)
-        m = setup.mass
-        vp = points.v[p]
-        carried = vec4(m, m * vp[0], m * vp[1], m * vp[2])
-        s = -setup.volume * points.tau[p]
-        force_x = vec4(s[0], s[5], s[4], zero)
-        force_y = vec4(s[5], s[1], s[3], zero)
-        force_z = vec4(s[4], s[3], s[2], zero)
-        weight = vec4(zero, zero, -m * real(clock[GRAVITY]), m * points.theta[p])
+        carried, force_x, force_y, force_z, strain = point_load(setup, points.v[p], points.tau[p], points.theta[p])
         for a in range(reached(sx)):
             for b in range(reached(sy)):
                 wxy = sx[a] * sy[b]
-                flat = add_scaled(dx[a] * sy[b], force_x, add_scaled(sx[a] * dy[b], force_y, scaled(wxy, weight)))
+                flat = add_scaled(dx[a] * sy[b], force_x, add_scaled(sx[a] * dy[b], force_y, scaled(wxy, strain)))
                 steep = scaled(wxy, force_z)
                 load = scaled(wxy, carried)
                 n = node_of(pencils, i + a, j + b, k)
@@ -77,30 +146,18 @@ def transfer_kernels(real):
         fault: wp.array(dtype=wp.int32),
     ):
         """FLIP velocity of the point, the velocity that will carry it, and the second mapping (MUSL)."""
-        if clock[DT] == float64(0.0):
+        dt = real(clock[DT])
+        if dt == zero:
             return
         p = wp.tid()
         i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(points.x[p], setup.inv_cell)
-        moved = vec4(zero, zero, zero, zero)
-        gained = vec4(zero, zero, zero, zero)
-        for a in range(3):
-            for b in range(3):
-                wxy = sx[a] * sy[b]
-                n = node_of(pencils, i + a, j + b, k)
-                moved = add_scaled(wxy, gather(node_velocity, n, sz), moved)
-                gained = add_scaled(wxy, gather(node_increment, n, sz), gained)
-        vp = points.v[p] + vec3(gained[0], gained[1], gained[2])
-        carried = vec3(moved[1], moved[2], moved[3])
-        m = setup.mass
+        moved, gained = gather_velocity(pencils, i, j, k, sx, sy, sz, node_velocity, node_increment)
+        vp, carried, work = flip(setup, points.v[p], moved, gained, dt)
         if setup.decay > zero:
-            # On what the grid does not see of v no force ever acts: without a decay points shake for ever and a heap
-            # creeps.
-            lost = wp.min(setup.decay * real(clock[DT]), one) * (vp - carried)
-            work = m * (wp.dot(vp, lost) - half * wp.dot(lost, lost))
             wp.atomic_add(ledger, WORK_DECAY, p & (ledger.shape[1] - 1), float64(work))
-            vp = vp - lost
         points.v[p] = vp
         points.carry[p] = carried
+        m = setup.mass
         mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
         for a in range(3):
             for b in range(3):
@@ -110,20 +167,13 @@ def transfer_kernels(real):
                     n = node_of(pencils, i + a, j + b, k)
                     for c in range(3):
                         add(node_mapped, n + c, scaled(sz[c], load))
-        # Plain reads first: an atomic only when the point is faster than what is recorded.
-        fastest = zero
-        for axis in range(3):
-            fastest = wp.max(fastest, wp.abs(carried[axis]))
-            if wp.abs(vp[axis]) > speed[axis]:
-                wp.atomic_max(speed, axis, wp.abs(vp[axis]))
-        if fastest > speed[CARRIED]:
-            wp.atomic_max(speed, CARRIED, fastest)
-        if not (wp.isfinite(wp.dot(vp, vp)) and wp.isfinite(wp.dot(carried, carried))):
-            wp.atomic_max(fault, NOT_FINITE, p + 1)
-        if fastest * real(clock[DT]) > half * setup.cell:
-            wp.atomic_max(fault, TOO_FAST, p + 1)
+        watch(setup, p, vp, carried, dt, speed, fault)
 
     return SimpleNamespace(
         p2g=p2g,
         g2p2g=g2p2g,
+        point_load=point_load,
+        flip=flip,
+        gather_velocity=gather_velocity,
+        watch=watch,
     )
