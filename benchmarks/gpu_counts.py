@@ -34,14 +34,14 @@ def name_of(kernel) -> str:
 def step_of(real) -> list:
     """The kernels of one step as a GPU takes it, in order."""
     settings = ["grid.cell=0.25", f"explicit.precision={real.__name__}", "explicit.damping=0.05"]
-    solver = ExplicitSolver(build(load_scene("column_0.5", settings)), "cpu")
-    return [launch.kernel for launch in solver._phases]
+    solver = ExplicitSolver(build(load_scene("column_0.5", settings)), "cpu", fused=True)
+    return [launch.kernel for launch in solver.fused_step.phases]
 
 
 def compiled(module, arch: int, folder: Path, ptx: bool) -> Path:
     """A module's code for sm_`arch`, as PTX or as machine code."""
     wp.compile_aot_module(module, arch=arch, module_dir=folder, use_ptx=ptx)
-    (path,) = folder.glob(f"*{module.name}*.{'ptx' if ptx else 'cubin'}")
+    (path,) = folder.glob(f"wp_{module.name}_*.{'ptx' if ptx else 'cubin'}")
     return path
 
 

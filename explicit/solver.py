@@ -10,6 +10,7 @@ import time
 import numpy as np
 import warp as wp
 
+from explicit.fused import FusedStep
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
 from explicit.kernels.sparse_grid import MARGIN
@@ -36,13 +37,16 @@ class ExplicitSolver:
     Point arrays, all (n,), also in `arrays` as kernels take them: `x`, `v`, `carry` vec3 [m, m/s], `tau` vec6 [Pa]
     Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure, `dilated` [-]
     plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
+
+    `fused`: take steps in four launches (`explicit.fused`) in place of nine phases; so on a GPU, unless told otherwise.
     """
 
     ids: np.ndarray | None = None  # numbers of the points in the whole body, where these are a part of it
 
-    def __init__(self, body: Body, device="cpu"):
+    def __init__(self, body: Body, device="cpu", fused: bool | None = None):
         settings = body.scene.explicit
         self.body, self.device = body, wp.get_device(device)
+        self.fused = self.device.is_cuda if fused is None else fused
         self.real = getattr(wp, settings.precision)
         self.k = step_kernels(self.real)
         self.points = len(body.x)
@@ -119,12 +123,13 @@ class ExplicitSolver:
     def _allocate_nodes(self):
         """Node arrays, reused within a step: `node_momentum` holds (m, m v), from the grid update on (m, v_new);
         `node_force` force and m theta, then the velocity increment dt a and m theta, then what the pressure law gives;
-        `node_mapped` the second mapping's m v, then v; `node_dilation` the sum of m ln det F."""
+        `node_mapped` the second mapping's m v, then v; `node_dilation` the sum of m ln det F. `explicit.kernels.fused`
+        says what they hold in a fused step."""
         nodes, k = self.grid.capacity, self.k
         self.node_momentum = self._zeros(nodes, k.vec4)
         self.node_force = self._zeros(nodes, k.vec4)
         self.node_mapped = self._zeros(nodes, k.vec4)
-        self.node_dilation = self._zeros(nodes, self.real)
+        self.node_dilation = self._zeros(0 if self.fused else nodes, self.real)
         self.counted = self._zeros(0, wp.int32)  # empty: sums over nodes count all of them (see `explicit.ranks`)
 
     def _zeros(self, shape, dtype):
@@ -180,7 +185,8 @@ class ExplicitSolver:
         return self.points * self.bytes_per_point + nodes + self.grid.bytes
 
     def _node_arrays(self):
-        return [self.node_momentum, self.node_force, self.node_mapped, self.node_dilation]
+        shared = [self.node_momentum, self.node_force, self.node_mapped]
+        return [*shared, *self.fused_step.node_arrays] if self.fused else [*shared, self.node_dilation]
 
     def fit_grid(self):
         """Store the nodes that the points need now."""
@@ -193,8 +199,11 @@ class ExplicitSolver:
     def _record_step(self):
         """The step as launches in order, ready to be repeated."""
         k, n, nodes, clock = self.k, self.points, self.grid.capacity, self.clock
-        pencils = k.Pencils()
+        self.pencils = pencils = k.Pencils()
         pencils.base, pencils.i0, pencils.j0 = self.grid.base, self.grid.i0, self.grid.j0
+        if self.fused:
+            self.fused_step = FusedStep(self)
+            return
         setup, walls, pencil_of = self.setup, self.walls, self.grid.pencil_of
         momentum, force, mapped, dilation = self.node_momentum, self.node_force, self.node_mapped, self.node_dilation
         ledger, fault, material = self.ledger, self.fault, self.material
@@ -220,15 +229,20 @@ class ExplicitSolver:
 
     def step(self):
         """One step: the phases in order. Does nothing once the target time is reached."""
+        if self.fused:
+            return self.fused_step.take(1)
         for phase in self._phases:
             phase.launch()
 
     def time_phases(self, steps: int) -> dict[str, float]:
         """Take `steps` steps phase by phase: median seconds of each phase."""
-        seconds = {phase.kernel.key.rpartition("__")[2]: [] for phase in self._phases}
+        phases = self.fused_step.phases if self.fused else self._phases
+        seconds = {phase.kernel.key.rpartition("__")[2]: [] for phase in phases}
         for _ in range(steps):
             self.fit_grid()
-            for name, phase in zip(seconds, self._phases, strict=True):
+            if self.fused:
+                self.fused_step.start()
+            for name, phase in zip(seconds, phases, strict=True):
                 wp.synchronize_device(self.device)
                 start = time.perf_counter()
                 phase.launch()
@@ -273,7 +287,9 @@ class ExplicitSolver:
         return self.time
 
     def _take(self, steps: int):
-        """Most steps as replays of a recorded batch (a CUDA graph on a GPU), the rest one by one."""
+        """Most steps as replays of a recorded batch, the rest one by one."""
+        if self.fused:
+            return self.fused_step.take(steps)
         if steps >= STEPS_PER_GRAPH and self._graph is None:
             with wp.ScopedCapture(device=self.device) as capture:
                 for _ in range(STEPS_PER_GRAPH):
@@ -321,8 +337,11 @@ class ExplicitSolver:
         k, row = self.k, self.energy
         inputs = [self.setup, self.material, self.arrays, row]
         wp.launch(k.point_energy, self.points, inputs=inputs, device=self.device)
-        nodes = [self.node_momentum, self.node_mapped, self.counted, row]
-        wp.launch(k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
+        if self.fused:
+            self.fused_step.grid_energy(row)
+        else:
+            nodes = [self.node_momentum, self.node_mapped, self.counted, row]
+            wp.launch(k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
         energy, ledger = self.energy.numpy().sum(axis=1), self.ledger.numpy().sum(axis=1)
         return {
             "KE_points": float(energy[K.KE_POINTS]),

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from explicit.kernels.layout import DT, GRAVITY, WORK_DAMPING, WORK_EXTERNAL, layout
+from mpm.gimp import NODES_PER_AXIS
 from mpm.walls import FREE, NORMAL, TANGENTIAL
 
 
@@ -21,6 +22,7 @@ def grid_kernels(real):
     Setup = types.Setup
     float64 = wp.float64
     zero, one = wp.constant(real(0.0)), wp.constant(real(1.0))
+    last = wp.constant(NODES_PER_AXIS - 1)  # node of a stencil along an axis, counted from its first
 
     @wp.func(module=name)
     def held(walls: Walls, axis: int, node: int):
@@ -46,6 +48,15 @@ def grid_kernels(real):
         if (on_z & NORMAL) + ((on_x | on_y) & TANGENTIAL) > 0:
             mask[2] = zero
         return mask
+
+    @wp.func(module=name)
+    def near_walls(walls: Walls, i: int, j: int, k: int):
+        """1 where a node of the stencil that starts at (i, j, k) touches a wall or lies beyond, 0 elsewhere."""
+        if i <= walls.low[0] or j <= walls.low[1] or k <= walls.low[2]:
+            return 1
+        if i + last >= walls.high[0] or j + last >= walls.high[1] or k + last >= walls.high[2]:
+            return 1
+        return 0
 
     @wp.func(module=name)
     def node_mask(walls: Walls, pencils: Pencils, pencil_of: wp.array(dtype=wp.int32), n: int):
@@ -168,4 +179,5 @@ def grid_kernels(real):
         mapped_velocity=mapped_velocity,
         node_mask=node_mask,
         free_components=free_components,
+        near_walls=near_walls,
     )

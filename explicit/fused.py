@@ -1,0 +1,85 @@
+"""The explicit step in four launches, for a GPU (see `explicit.kernels.fused`)."""
+
+import warp as wp
+
+from explicit.kernels.fused import fused_kernels
+
+# Threads a block: with 128 and not Warp's 256, 25,120 points are spread over all multiprocessors of a large GPU, and
+# more threads fit into one where each takes 96 or 128 registers. 32: Warp's block runtime on a CPU, in tests.
+BLOCK_CUDA, BLOCK_CPU = 128, 32
+STEPS_PER_GRAPH = 10
+
+
+class FusedStep:
+    """What `ExplicitSolver` hands its steps over to on a GPU, for as long as its node arrays are the same ones.
+
+    `phases`: the launches of a step, in order. Sums that points add to are clean before a batch of steps; after it the
+    node arrays are of its last step.
+    """
+
+    def __init__(self, solver):
+        self.solver, self.device = solver, solver.device
+        self.k = fused_kernels(solver.real)
+        nodes, k = solver.grid.capacity, solver.k
+        self.sum_momentum = wp.zeros(nodes, dtype=k.vec4, device=self.device)
+        self.sum_force = wp.zeros(nodes, dtype=k.vec4, device=self.device)
+        self.node_volume = wp.zeros(nodes, dtype=k.vec4, device=self.device)
+        self._graphs = {}
+        self._record()
+
+    @property
+    def node_arrays(self) -> list[wp.array]:
+        """Node arrays beside the solver's own."""
+        return [self.sum_momentum, self.sum_force, self.node_volume]
+
+    def _command(self, kernel, dim, *inputs):
+        block = BLOCK_CUDA if self.device.is_cuda else BLOCK_CPU
+        return wp.launch(kernel, dim, inputs=inputs, device=self.device, block_dim=block, record_cmd=True)
+
+    def _record(self):
+        """The launches, ready to be repeated."""
+        s, k, pencils = self.solver, self.k, self.solver.pencils
+        n, nodes = s.points, s.grid.capacity
+        setup, clock, plan, points, ledger, watched = s.setup, s.clock, s.plan, s.arrays, s.ledger, (s.speed, s.fault)
+        sums, ready = (self.sum_momentum, self.sum_force), (s.node_momentum, s.node_force, s.node_mapped)
+        self._start = self._command(k.start_steps, n, setup, pencils, clock, plan, points, *watched, *sums)
+        self._energy_of_grid = (s.walls, pencils, s.grid.pencil_of, s.node_momentum, s.node_mapped)
+        nodes_and_back = [
+            self._command(k.update_nodes, nodes, setup, s.walls, pencils, plan, clock, s.speed, s.grid.pencil_of, *sums,
+                          *ready, self.node_volume, ledger),
+            self._command(k.g2p2g, n, setup, pencils, clock, points, *ready, ledger, *watched),
+            self._command(k.strain_to_nodes, n, setup, s.material, s.walls, pencils, clock, points, s.node_mapped,
+                          self.node_volume, s.fault),
+        ]  # fmt: skip
+        law = (setup, s.material, pencils, clock, plan, points, self.node_volume, ledger, *watched)
+        go_on, end = (self._command(k.stress_to_nodes, n, *law, last, *sums) for last in (0, 1))
+        self.phases, self._last = [*nodes_and_back, go_on], [*nodes_and_back, end]
+
+    def take(self, steps: int):
+        """A batch of steps, as replays of recorded ones (CUDA graphs on a GPU)."""
+        self.start()
+        tens, ones = divmod(steps - 1, STEPS_PER_GRAPH)
+        for _ in range(tens):
+            wp.capture_launch(self._graph("ten", STEPS_PER_GRAPH * self.phases))
+        for _ in range(ones):
+            wp.capture_launch(self._graph("one", self.phases))
+        wp.capture_launch(self._graph("last", self._last))
+
+    def start(self):
+        """What comes before the first step of a batch."""
+        self.sum_momentum.zero_()
+        self.sum_force.zero_()
+        self._start.launch()
+
+    def _graph(self, name: str, phases: list):
+        if name not in self._graphs:
+            with wp.ScopedCapture(device=self.device) as capture:
+                for phase in phases:
+                    phase.launch()
+            self._graphs[name] = capture.graph
+        return self._graphs[name]
+
+    def grid_energy(self, energy: wp.array):
+        """Add the kinetic energy of the nodes to `energy`, as the phases' kernel of that name does."""
+        inputs = [*self._energy_of_grid, energy]
+        wp.launch(self.k.grid_energy, self.solver.grid.capacity, inputs=inputs, device=self.device)

@@ -1,0 +1,313 @@
+"""The step in four launches, as a GPU takes it: it waits longer for a launch than for the work of a small one.
+
+The physics is that of the phases (`explicit.kernels`); what differs is where it is done. `update_nodes` starts the
+step that was planned, takes what points have added to the sums, and leaves these clean and the nodes ready for what
+follows. Wall conditions and the pressure law are applied where points read nodes. `stress_to_nodes` ends a step of the
+points and adds them to the sums of the next, which its first thread plans.
+
+In no kernel does a thread write what another one reads: sums are reductions, the clock of the step under way and the
+plan of the next are two arrays. Loops over nodes are written out: what a loop indexes would go to local memory.
+"""
+
+import functools
+from types import SimpleNamespace
+
+import warp as wp
+
+from explicit.kernels.clock import clock_kernels
+from explicit.kernels.grid import grid_kernels
+from explicit.kernels.layout import DT, GRAVITY, INVERTED, KE_GRID, WORK_DECAY, layout
+from explicit.kernels.reductions import reductions
+from explicit.kernels.simd import simd
+from explicit.kernels.stress import stress_kernels
+from explicit.kernels.transfer import transfer_kernels
+from mpm.devices import KERNEL_OPTIONS
+from mpm.drucker_prager import drucker_prager
+from mpm.gimp import gimp
+
+
+@functools.cache
+def fused_kernels(real):
+    """Return the kernels for `real` (wp.float32 or wp.float64).
+
+    They are in a Warp module of their own, which runs on a CPU do not compile.
+
+    Node arrays: `sum_momentum` (m, m v) and `sum_force` (force but for the weight, m theta) are what points add up;
+    `node_velocity` (m, v_new), `node_increment` (dt a, 0), `node_mapped` (the second mapping's m v, 1/m) and
+    `node_volume` (sum of m ln det F, m theta, 1/m, 0) are of the step under way.
+    """
+    types = layout(real)
+    name = f"repose_fused_{real.__name__}"
+    wp.set_module_options(KERNEL_OPTIONS | {"default_grid_stride": False}, module=wp.get_module(name))
+    vec3, vec4, vec6 = types.vec3, types.vec4, types.vec6
+    Points, Pencils, Walls, Setup, node_of = types.Points, types.Pencils, types.Walls, types.Setup, types.node_of
+    Material = drucker_prager(real).Material
+    float64 = wp.float64
+    clock_functions, grid, transfer, stress = (
+        make(real) for make in (clock_kernels, grid_kernels, transfer_kernels, stress_kernels)
+    )
+    goes_on, plan_step, follow_plan = clock_functions.goes_on, clock_functions.plan_step, clock_functions.follow_plan
+    balance, record_work, mapped_velocity = grid.balance, grid.record_work, grid.mapped_velocity
+    node_mask, free_components, near_walls = grid.node_mask, grid.free_components, grid.near_walls
+    point_load, flip, gather_velocity, watch = (
+        transfer.point_load,
+        transfer.flip,
+        transfer.gather_velocity,
+        transfer.watch,
+    )
+    trial_stress, given_by_node, returned = stress.trial_stress, stress.given_by_node, stress.returned
+    scaled, add_scaled, load, add = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "load", "add"))
+    add_vector, add_first = reductions(real).add_vector, reductions(real).add_first
+    stencil = gimp(real).stencil
+    zero, one, half = (wp.constant(real(value)) for value in (0.0, 1.0, 0.5))
+
+    @wp.func(module=name)
+    def add_point(
+        setup: Setup,
+        pencils: Pencils,
+        x: vec3,
+        v: vec3,
+        tau: vec6,
+        theta: real,
+        sum_momentum: wp.array(dtype=vec4),
+        sum_force: wp.array(dtype=vec4),
+    ):
+        """Add a point to the nodes' sums."""
+        i, j, k, sx, sy, sz, dx, dy, dz = stencil(x, setup.inv_cell)
+        carried, force_x, force_y, force_z, strain = point_load(setup, v, tau, theta)
+        for a in range(3):
+            for b in range(3):
+                wxy = sx[a] * sy[b]
+                if wxy > zero:
+                    flat = add_scaled(dx[a] * sy[b], force_x, add_scaled(sx[a] * dy[b], force_y, scaled(wxy, strain)))
+                    steep = scaled(wxy, force_z)
+                    momentum = scaled(wxy, carried)
+                    n = node_of(pencils, i + a, j + b, k)
+                    for c in range(3):
+                        if sz[c] > zero:
+                            add(sum_momentum, n + c, scaled(sz[c], momentum))
+                            add(sum_force, n + c, add_scaled(sz[c], flat, scaled(dz[c], steep)))
+
+    @wp.kernel(module=name)
+    def start_steps(
+        setup: Setup,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        plan: wp.array(dtype=float64),
+        points: Points,
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+        sum_momentum: wp.array(dtype=vec4),
+        sum_force: wp.array(dtype=vec4),
+    ):
+        """Before the first step of a batch: plan it, and add the points to the sums, which are clean."""
+        p = wp.tid()
+        if p == 0:
+            plan_step(setup, clock, speed, fault, plan)
+        if goes_on(setup, clock, speed, fault) > 0:
+            add_point(setup, pencils, points.x[p], points.v[p], points.tau[p], points.theta[p], sum_momentum, sum_force)
+
+    @wp.kernel(module=name)
+    def update_nodes(
+        setup: Setup,
+        walls: Walls,
+        pencils: Pencils,
+        plan: wp.array(dtype=float64),
+        clock: wp.array(dtype=float64),
+        speed: wp.array(dtype=real),
+        pencil_of: wp.array(dtype=wp.int32),
+        sum_momentum: wp.array(dtype=vec4),
+        sum_force: wp.array(dtype=vec4),
+        node_velocity: wp.array(dtype=vec4),
+        node_increment: wp.array(dtype=vec4),
+        node_mapped: wp.array(dtype=vec4),
+        node_volume: wp.array(dtype=vec4),
+        ledger: wp.array2d(dtype=float64),
+    ):
+        """Start the planned step: momentum balance of the nodes, from the sums, which it leaves clean."""
+        n = wp.tid()
+        if n == 0:
+            follow_plan(plan, clock, speed)
+        dt = real(plan[DT])
+        if dt == zero:
+            return
+        q = sum_momentum[n]
+        f = sum_force[n]
+        none = vec4(zero, zero, zero, zero)
+        sum_momentum[n] = none
+        sum_force[n] = none
+        m = q[0]
+        velocity, increment, mapped, volume = none, none, none, none
+        if m > zero:
+            mask = node_mask(walls, pencils, pencil_of, n)
+            gravity = real(plan[GRAVITY])
+            v, dv, damped = balance(setup, mask, m, vec3(q[1], q[2], q[3]), vec3(f[0], f[1], f[2]), dt, gravity)
+            inverse = one / m
+            velocity = vec4(m, v[0], v[1], v[2])
+            increment = vec4(dv[0], dv[1], dv[2], zero)
+            mapped = vec4(zero, zero, zero, inverse)
+            volume = vec4(zero, f[3], inverse, zero)
+            record_work(setup, ledger, n, m, v, damped, dt, gravity)
+        node_velocity[n] = velocity
+        node_increment[n] = increment
+        node_mapped[n] = mapped
+        node_volume[n] = volume
+
+    @wp.kernel(module=name)
+    def g2p2g(
+        setup: Setup,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        points: Points,
+        node_velocity: wp.array(dtype=vec4),
+        node_increment: wp.array(dtype=vec4),
+        node_mapped: wp.array(dtype=vec4),
+        ledger: wp.array2d(dtype=float64),
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+    ):
+        """FLIP velocity of the point, the velocity that will carry it, and the second mapping (MUSL)."""
+        dt = real(clock[DT])
+        if dt == zero:
+            return
+        p = wp.tid()
+        i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(points.x[p], setup.inv_cell)
+        moved, gained = gather_velocity(pencils, i, j, k, sx, sy, sz, node_velocity, node_increment)
+        vp, carried, work = flip(setup, points.v[p], moved, gained, dt)
+        if setup.decay > zero:
+            wp.atomic_add(ledger, WORK_DECAY, p & (ledger.shape[1] - 1), float64(work))
+        points.v[p] = vp
+        points.carry[p] = carried
+        m = setup.mass
+        mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
+        for a in range(3):
+            for b in range(3):
+                wxy = sx[a] * sy[b]
+                if wxy > zero:
+                    momentum = scaled(wxy, mv)
+                    n = node_of(pencils, i + a, j + b, k)
+                    for c in range(3):
+                        if sz[c] > zero:
+                            add_vector(node_mapped, n + c, scaled(sz[c], momentum))
+        watch(setup, p, vp, carried, dt, speed, fault)
+
+    @wp.kernel(module=name)
+    def strain_to_nodes(
+        setup: Setup,
+        material: Material,
+        walls: Walls,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        points: Points,
+        node_mapped: wp.array(dtype=vec4),
+        node_volume: wp.array(dtype=vec4),
+        fault: wp.array(dtype=wp.int32),
+    ):
+        """Velocity gradient of the second mapping; trial deviator into `tau`; mass times ln det F to the nodes."""
+        dt = real(clock[DT])
+        if dt == zero:
+            return
+        p = wp.tid()
+        i, j, k, sx, sy, sz, dx, dy, dz = stencil(points.x[p], setup.inv_cell)
+        near = near_walls(walls, i, j, k)
+        none = vec4(zero, zero, zero, zero)
+        lx, ly, lz = none, none, none
+        for a in range(3):
+            mean, bent, slope = none, none, none
+            for b in range(3):
+                n = node_of(pencils, i + a, j + b, k)
+                along, up = none, none
+                for c in range(3):
+                    q = load(node_mapped, n + c)
+                    mask = vec3(one, one, one)
+                    if near > 0:
+                        mask = free_components(walls, i + a, j + b, k + c)
+                    v = mapped_velocity(mask, q, q[3])
+                    along = add_scaled(sz[c], v, along)
+                    up = add_scaled(dz[c], v, up)
+                mean = add_scaled(sy[b], along, mean)
+                bent = add_scaled(dy[b], along, bent)
+                slope = add_scaled(sy[b], up, slope)
+            lx = add_scaled(dx[a], mean, lx)
+            ly = add_scaled(sx[a], bent, ly)
+            lz = add_scaled(sx[a], slope, lz)
+        trial, m_d, inverted = trial_stress(setup, material, points.tau[p], dt * lx, dt * ly, dt * lz)
+        if inverted > 0:
+            wp.atomic_max(fault, INVERTED, p + 1)
+        points.tau[p] = trial
+        for a in range(3):
+            for b in range(3):
+                wxy = sx[a] * sy[b]
+                if wxy > zero:
+                    n = node_of(pencils, i + a, j + b, k)
+                    for c in range(3):
+                        if sz[c] > zero:
+                            add_first(node_volume, n + c, m_d * wxy * sz[c])
+
+    @wp.kernel(module=name)
+    def stress_to_nodes(
+        setup: Setup,
+        material: Material,
+        pencils: Pencils,
+        clock: wp.array(dtype=float64),
+        plan: wp.array(dtype=float64),
+        points: Points,
+        node_volume: wp.array(dtype=vec4),
+        ledger: wp.array2d(dtype=float64),
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+        last: wp.int32,
+        sum_momentum: wp.array(dtype=vec4),
+        sum_force: wp.array(dtype=vec4),
+    ):
+        """Stress of the points, which then move; but in the `last` step of a batch, the next one begins with them."""
+        dt = real(clock[DT])
+        if dt == zero:
+            return
+        p = wp.tid()
+        if p == 0 and last == 0:
+            plan_step(setup, clock, speed, fault, plan)
+        x = points.x[p]
+        i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(x, setup.inv_cell)
+        given = vec4(zero, zero, zero, zero)
+        for a in range(3):
+            for b in range(3):
+                n = node_of(pencils, i + a, j + b, k)
+                along = vec4(zero, zero, zero, zero)
+                for c in range(3):
+                    q = load(node_volume, n + c)
+                    along = add_scaled(sz[c], given_by_node(material, q[0], q[1], q[2]), along)
+                given = add_scaled(sx[a] * sy[b], along, given)
+        tau, theta = returned(setup, material, points, p, given, ledger)
+        x = x + dt * points.carry[p]
+        points.tau[p] = tau
+        points.theta[p] = theta
+        points.x[p] = x
+        if last == 0 and goes_on(setup, clock, speed, fault) > 0:
+            add_point(setup, pencils, x, points.v[p], tau, theta, sum_momentum, sum_force)
+
+    @wp.kernel(module=name)
+    def grid_energy(
+        walls: Walls,
+        pencils: Pencils,
+        pencil_of: wp.array(dtype=wp.int32),
+        node_velocity: wp.array(dtype=vec4),
+        node_mapped: wp.array(dtype=vec4),
+        energy: wp.array2d(dtype=float64),
+    ):
+        """Kinetic energy of the grid with the velocities of the second mapping."""
+        n = wp.tid()
+        m = node_velocity[n][0]
+        if m > zero:
+            q = node_mapped[n]
+            v = mapped_velocity(node_mask(walls, pencils, pencil_of, n), q, q[3])
+            wp.atomic_add(energy, KE_GRID, n % energy.shape[1], float64(half * m * wp.dot(v, v)))
+
+    return SimpleNamespace(
+        start_steps=start_steps,
+        update_nodes=update_nodes,
+        g2p2g=g2p2g,
+        strain_to_nodes=strain_to_nodes,
+        stress_to_nodes=stress_to_nodes,
+        grid_energy=grid_energy,
+    )
