@@ -10,6 +10,7 @@ import time
 import numpy as np
 import warp as wp
 
+from explicit.dials import Dials
 from explicit.fused import FusedStep
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
@@ -54,14 +55,13 @@ class ExplicitSolver:
         self._pack(body)
         self.grid = SparseGrid(self.real, body.scene.grid.cell, self.device)
         self._allocate_points(body)
-        self.clock = self._zeros(K.CLOCK_SIZE, wp.float64)
-        self.speed = self._zeros(K.SPEED_SIZE, self.real)
-        self.fault = self._zeros(K.FAULT_SIZE, wp.int32)
+        self.dials = Dials(self.real, self.device)
+        self.clock, self.speed, self.fault = self.dials.clock, self.dials.speed, self.dials.fault
         self.plan = self._zeros(K.CLOCK_SIZE, wp.float64)  # what the clock will be in the next step
         # One column on the CPU: its sum does not depend on how nodes are numbered, so restarts are exact.
         columns = LEDGER_COLUMNS_CUDA if self.device.is_cuda else 1
-        self.ledger = self._zeros((K.LEDGER_ROWS, columns), wp.float64)
-        self.energy = self._zeros((K.ENERGY_ROWS, columns), wp.float64)
+        self.energy_and_ledger = self._zeros((K.ENERGY_ROWS + K.LEDGER_ROWS, columns), wp.float64)
+        self.energy, self.ledger = self.energy_and_ledger[: K.ENERGY_ROWS], self.energy_and_ledger[K.ENERGY_ROWS :]
         self.nodes_stored_max = 0
         self.fit_grid()
         self.nodes_stored_start = self.grid.stored
@@ -138,12 +138,12 @@ class ExplicitSolver:
     @property
     def time(self) -> float:
         """Simulated time [s]."""
-        return float(self.clock.numpy()[K.TIME])
+        return float(self.dials.seen.clock[K.TIME])
 
     @property
     def steps(self) -> int:
         """Steps taken."""
-        return int(self.clock.numpy()[K.STEPS])
+        return int(self.dials.seen.clock[K.STEPS])
 
     @property
     def time_step(self) -> float:
@@ -153,7 +153,7 @@ class ExplicitSolver:
     @property
     def courant_limit(self) -> float:
         """h/(c + |v|) [s] with the points' present speed along the fastest axis."""
-        fastest = float(np.max(self.speed.numpy()[: K.CARRIED]))
+        fastest = float(np.max(self.dials.seen.speed[: K.CARRIED]))
         return self.body.scene.grid.cell / (self.setup.wave + fastest)
 
     @property
@@ -194,6 +194,7 @@ class ExplicitSolver:
             self._allocate_nodes()
             self._record_step()
         wp.launch(self.k.reset_travel, 1, inputs=[self.clock], device=self.device)
+        self.dials.forget()
         self.nodes_stored_max = max(self.nodes_stored_max, self.grid.stored)
 
     def _record_step(self):
@@ -229,6 +230,7 @@ class ExplicitSolver:
 
     def step(self):
         """One step: the phases in order. Does nothing once the target time is reached."""
+        self.dials.forget()
         if self.fused:
             return self.fused_step.take(1)
         for phase in self._phases:
@@ -248,6 +250,7 @@ class ExplicitSolver:
                 phase.launch()
                 wp.synchronize_device(self.device)
                 seconds[name].append(time.perf_counter() - start)
+            self.dials.forget()
         self._check()
         return {name: float(np.median(each)) for name, each in seconds.items()}
 
@@ -269,20 +272,21 @@ class ExplicitSolver:
         Raises NumericalError when a point's state is not finite, it crosses half a cell in one step, leaves the grid
         or its volume turns negative, and StepRefused when a fixed time step passes the Courant limit.
         """
-        clock, fastest = self.clock.numpy(), float(np.max(self.speed.numpy()))
+        clock, fastest, dt = self.dials.seen.clock, float(np.max(self.dials.seen.speed)), self.time_step
         travelled = clock[K.TRAVEL] + fastest * clock[K.DT]
         outgrown = travelled > 0.5 * self.setup.margin
         # The last step of a batch may have carried points beyond the margin, by less than a cell.
         self.grid.find_strays(self.x, int(outgrown), self.fault)
+        self.dials.forget()
         if outgrown:
             self._check()
             self.fit_grid()
             travelled = 0.0
-        dt = self.time_step
         steps = math.ceil((min(until, self._target) - clock[K.TIME]) / dt - 1e-9)
         if fastest > 0:
             steps = min(steps, int(0.8 * (self.setup.margin - travelled) / (fastest * dt)))
         self._take(min(max(steps, 1), MOST_STEPS))
+        self.dials.forget()
         self._check()
         return self.time
 
@@ -307,7 +311,7 @@ class ExplicitSolver:
 
     def _fault(self) -> NumericalError | None:
         """What the kernels reported, in words."""
-        fault = self.fault.numpy()
+        fault = self.dials.seen.fault
         if not fault.any():
             return None
         where = f"at t = {self.time:.6g} s, step {self.steps}"
@@ -342,7 +346,7 @@ class ExplicitSolver:
         else:
             nodes = [self.node_momentum, self.node_mapped, self.counted, row]
             wp.launch(k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
-        energy, ledger = self.energy.numpy().sum(axis=1), self.ledger.numpy().sum(axis=1)
+        energy, ledger = np.split(self.energy_and_ledger.numpy().sum(axis=1), [K.ENERGY_ROWS])
         return {
             "KE_points": float(energy[K.KE_POINTS]),
             "KE_grid": float(energy[K.KE_GRID]),
@@ -377,3 +381,4 @@ class ExplicitSolver:
         # After the fit, which resets the distance travelled: the length of batches depends on it, and history
         # rows are written between batches.
         self.clock.assign(state["clock"])
+        self.dials.forget()

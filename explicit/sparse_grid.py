@@ -24,9 +24,12 @@ class SparseGrid:
         self.real, self.inv_cell, self.device = real, 1.0 / cell, device
         self.kernels = sparse_grid_kernels(real)
         self.i0 = self.j0 = 0
-        self.shape = (0, 0)
+        self._allocate_window((1, 1))
         self.stored = self.capacity = 0
         self.pencil_of: wp.array | None = None
+        # Of the points: smallest i and j, largest i and j; of the nodes: how many.
+        self._nothing_found = wp.array([EMPTY, EMPTY, -EMPTY, -EMPTY, 0], dtype=wp.int32, device=device)
+        self._found = wp.empty_like(self._nothing_found)
 
     @property
     def bytes(self) -> int:
@@ -37,21 +40,33 @@ class SparseGrid:
         """Store the nodes that points `x` (n,) vec3 [m] need. True when arrays were made anew."""
         if not x.shape[0]:
             return self._store_nothing()
-        renewed = self._fit_window(x)
-        k, spans = self.kernels, [self.low, self.high]
-        self._launch(k.clear_spans, self.shape, spans)
-        self._launch(k.point_spans, x.shape[0], [x, self.real(self.inv_cell), self.i0, self.j0, *spans])
-        self._launch(k.widen_spans, self.shape, [*spans, self.first, self.count])
-        wp.utils.array_scan(self.count.flatten(), self.base.flatten(), inclusive=False)
-        last = [self.base.flatten()[-1:].numpy()[0], self.count.flatten()[-1:].numpy()[0]]
-        self.stored = int(sum(last))
-        self._launch(k.shift_base, self.shape, [self.first, self.base])
+        renewed = False
+        low, high, stored = self._find_nodes(x)
+        if not self._holds(low, high):
+            self._renew_window(low, high)
+            renewed = True
+            _low, _high, stored = self._find_nodes(x)
+        self.stored = stored
         if self.stored > self.capacity:
             self.capacity = int(CAPACITY_SLACK * self.stored)
             self.pencil_of = wp.zeros(self.capacity, dtype=wp.int32, device=self.device)
             renewed = True
-        self._launch(k.label_nodes, self.shape, [self.first, self.count, self.base, self.pencil_of])
+        self._launch(self.kernels.label_nodes, self.shape, [self.first, self.count, self.base, self.pencil_of])
         return renewed
+
+    def _find_nodes(self, x) -> tuple[np.ndarray, np.ndarray, int]:
+        """Fill the tables of the window for points `x`: its first and last pencil that these need, (i, j) each, and
+        how many nodes those of them have that lie in the window. The host looks at the device once."""
+        k, spans, real_inv_cell = self.kernels, [self.low, self.high], self.real(self.inv_cell)
+        wp.copy(self._found, self._nothing_found)
+        self._launch(k.plan_bounds, x.shape[0], [x, real_inv_cell, self._found])
+        self._launch(k.clear_spans, self.shape, spans)
+        self._launch(k.point_spans, x.shape[0], [x, real_inv_cell, self.i0, self.j0, *spans])
+        self._launch(k.widen_spans, self.shape, [*spans, self.first, self.count])
+        wp.utils.array_scan(self.count.flatten(), self.base.flatten(), inclusive=False)
+        self._launch(k.shift_base, self.shape, [self.first, self.count, self.base, self._found])
+        found = self._found.numpy().copy()
+        return found[:2] - MARGIN, found[2:4] + LAST + MARGIN, int(found[4])
 
     def find_strays(self, x: wp.array, slack: int, fault: wp.array):
         """Report in `fault` (see `explicit.kernels.layout`) a point of `x` that needs nodes which are not stored, or
@@ -73,19 +88,14 @@ class SparseGrid:
         self.pencil_of = wp.zeros(0, dtype=wp.int32, device=self.device)
         return True
 
-    def _fit_window(self, x) -> bool:
-        start = np.array([EMPTY, EMPTY, -EMPTY, -EMPTY], dtype=np.int32)
-        bounds = wp.array(start, dtype=wp.int32, device=self.device)
-        self._launch(self.kernels.plan_bounds, x.shape[0], [x, self.real(self.inv_cell), bounds])
-        i_min, j_min, i_max, j_max = (int(value) for value in bounds.numpy())
-        low_i, low_j = i_min - MARGIN, j_min - MARGIN
-        high_i, high_j = i_max + LAST + MARGIN, j_max + LAST + MARGIN
-        inside = low_i >= self.i0 and low_j >= self.j0
-        if inside and high_i < self.i0 + self.shape[0] and high_j < self.j0 + self.shape[1]:
-            return False
-        self.i0, self.j0 = low_i - WINDOW_SLACK, low_j - WINDOW_SLACK
-        self._allocate_window((high_i - self.i0 + 1 + WINDOW_SLACK, high_j - self.j0 + 1 + WINDOW_SLACK))
-        return True
+    def _holds(self, low, high) -> bool:
+        start = np.array([self.i0, self.j0])
+        return bool(np.all(low >= start) and np.all(high < start + self.shape))
+
+    def _renew_window(self, low, high):
+        self.i0, self.j0 = (int(index) - WINDOW_SLACK for index in low)
+        shape = high + 1 + WINDOW_SLACK - (self.i0, self.j0)
+        self._allocate_window((int(shape[0]), int(shape[1])))
 
     def _allocate_window(self, shape: tuple[int, int]):
         self.shape = shape

@@ -58,6 +58,8 @@ def sparse_grid_kernels(real):
         i = base_node(x[p][0], inv_cell) - i0
         j = base_node(x[p][1], inv_cell) - j0
         k = base_node(x[p][2], inv_cell)
+        if i < 0 or j < 0 or i >= low.shape[0] or j >= low.shape[1]:
+            return  # the window is too small, which `plan_bounds` has found as well
         if k < low[i, j]:
             wp.atomic_min(low, i, j, k)
         if k > high[i, j]:
@@ -83,9 +85,17 @@ def sparse_grid_kernels(real):
         count[i, j] = wp.max(top - bottom + 1 + last + 2 * margin, 0)
 
     @wp.kernel(module=name)
-    def shift_base(first: wp.array2d(dtype=wp.int32), base: wp.array2d(dtype=wp.int32)):
-        """From "index of the pencil's first node" to "index of its node k = 0", so that node k is base + k."""
+    def shift_base(
+        first: wp.array2d(dtype=wp.int32),
+        count: wp.array2d(dtype=wp.int32),
+        base: wp.array2d(dtype=wp.int32),
+        found: wp.array(dtype=wp.int32),
+    ):
+        """From "index of the pencil's first node" to "index of its node k = 0", so that node k is base + k; how many
+        nodes there are, behind the four bounds in `found`."""
         i, j = wp.tid()
+        if i == base.shape[0] - 1 and j == base.shape[1] - 1:
+            found[4] = base[i, j] + count[i, j]
         base[i, j] = base[i, j] - first[i, j]
 
     @wp.kernel(module=name)
