@@ -143,10 +143,14 @@ class Run:
 
     def misplaced(self, x: np.ndarray, volume_ratio: float) -> str:
         """Why points `x` (n, 3) [m], of `volume_ratio` of the initial volume, are no result; "" where they may be."""
-        walls, at = self.body.walls, x / self.body.scene.grid.cell
-        beyond = np.maximum(np.array(walls.low) - at, at - np.array(walls.high)).max(axis=1)
+        walls, cell = self.body.walls, self.body.scene.grid.cell
+        lowest, highest = np.array(walls.low), np.array(walls.high)
         remedy = "a smaller grid.cell or stiffer material may hold it"
-        if beyond.max() > MOST_BEYOND:
+        # The box around the points first: it is nearly always within the walls, and found axis by axis in a tenth of
+        # the time that NumPy takes along rows of three.
+        bottom, top = (np.array([find(x[:, axis]) for axis in range(3)]) / cell for find in (np.min, np.max))
+        if np.any(lowest - bottom > MOST_BEYOND) or np.any(top - highest > MOST_BEYOND):
+            beyond = np.maximum(lowest - x / cell, x / cell - highest).max(axis=1)
             point = int(beyond.argmax())
             return f"point {point} lies {beyond[point]:.2g} cells beyond a wall, at x = {x[point]} m; {remedy}"
         constants, (low, high) = self.body.constants, VOLUME_RANGE

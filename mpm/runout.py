@@ -28,7 +28,8 @@ class Measure:
 
     def distance(self, x):
         """Distance [m] of points `x` (n, 3) from the axis or plane."""
-        return np.linalg.norm((np.asarray(x, float)[:, :2] - self.axis)[:, self.axes], axis=1)
+        away = [np.asarray(x[:, axis], float) - self.axis[axis] for axis in self.axes]
+        return np.sqrt(sum(part * part for part in away))
 
     def runout(self, distance):
         """(r - r0)/r0 [-]."""
