@@ -2,11 +2,8 @@
 
 import warp as wp
 
-from explicit.kernels.fused import fused_kernels
+from explicit.kernels.fused import BLOCK, WARP, fused_kernels
 
-# Threads a block: with 128 and not Warp's 256, 25,120 points are spread over all multiprocessors of a large GPU, and
-# more threads fit into one where each takes 96 or 128 registers. 32: Warp's block runtime on a CPU, in tests.
-BLOCK_CUDA, BLOCK_CPU = 128, 32
 STEPS_PER_GRAPH = 10
 
 
@@ -33,26 +30,27 @@ class FusedStep:
         return [self.sum_momentum, self.sum_force, self.node_volume]
 
     def _command(self, kernel, dim, *inputs):
-        block = BLOCK_CUDA if self.device.is_cuda else BLOCK_CPU
+        block = BLOCK if self.device.is_cuda else WARP  # the latter: Warp's block runtime on a CPU, in tests
         return wp.launch(kernel, dim, inputs=inputs, device=self.device, block_dim=block, record_cmd=True)
 
     def _record(self):
         """The launches, ready to be repeated."""
         s, k, pencils = self.solver, self.k, self.solver.pencils
         n, nodes = s.points, s.grid.capacity
+        whole = -(-n // WARP) * WARP  # threads where those of a warp work together
         setup, clock, plan, points, ledger, watched = s.setup, s.clock, s.plan, s.arrays, s.ledger, (s.speed, s.fault)
         sums, ready = (self.sum_momentum, self.sum_force), (s.node_momentum, s.node_force, s.node_mapped)
-        self._start = self._command(k.start_steps, n, setup, pencils, clock, plan, points, *watched, *sums)
+        self._start = self._command(k.start_steps, whole, setup, pencils, clock, plan, points, n, *watched, *sums)
         self._energy_of_grid = (s.walls, pencils, s.grid.pencil_of, s.node_momentum, s.node_mapped)
         nodes_and_back = [
             self._command(k.update_nodes, nodes, setup, s.walls, pencils, plan, clock, s.speed, s.grid.pencil_of, *sums,
                           *ready, self.node_volume, ledger),
-            self._command(k.g2p2g, n, setup, pencils, clock, points, *ready, ledger, *watched),
+            self._command(k.g2p2g, whole, setup, pencils, clock, points, n, *ready, ledger, *watched),
             self._command(k.strain_to_nodes, n, setup, s.material, s.walls, pencils, clock, points, s.node_mapped,
                           self.node_volume, s.fault),
         ]  # fmt: skip
-        law = (setup, s.material, pencils, clock, plan, points, self.node_volume, ledger, *watched)
-        go_on, end = (self._command(k.stress_to_nodes, n, *law, last, *sums) for last in (0, 1))
+        law = (setup, s.material, pencils, clock, plan, points, n, self.node_volume, ledger, *watched)
+        go_on, end = (self._command(k.stress_to_nodes, whole, *law, last, *sums) for last in (0, 1))
         self.phases, self._last = [*nodes_and_back, go_on], [*nodes_and_back, end]
 
     def take(self, steps: int):

@@ -25,6 +25,11 @@ from mpm.devices import KERNEL_OPTIONS
 from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
 
+# Threads a block: with 128 and not Warp's 256, 25,120 points are spread over all multiprocessors of a large GPU, and
+# more threads fit into one where each takes 96 or 128 registers.
+WARP = 32
+BLOCK = 4 * WARP
+
 
 @functools.cache
 def fused_kernels(real):
@@ -38,7 +43,8 @@ def fused_kernels(real):
     """
     types = layout(real)
     name = f"repose_fused_{real.__name__}"
-    wp.set_module_options(KERNEL_OPTIONS | {"default_grid_stride": False}, module=wp.get_module(name))
+    options = KERNEL_OPTIONS | {"default_grid_stride": False, "block_dim": BLOCK}
+    wp.set_module_options(options, module=wp.get_module(name))
     vec3, vec4, vec6 = types.vec3, types.vec4, types.vec6
     Points, Pencils, Walls, Setup, node_of = types.Points, types.Pencils, types.Walls, types.Setup, types.node_of
     Material = drucker_prager(real).Material
@@ -56,10 +62,17 @@ def fused_kernels(real):
         transfer.watch,
     )
     trial_stress, given_by_node, returned = stress.trial_stress, stress.given_by_node, stress.returned
-    scaled, add_scaled, load, add = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "load", "add"))
-    add_vector, add_first = reductions(real).add_vector, reductions(real).add_first
-    stencil = gimp(real).stencil
+    scaled, add_scaled, read = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "load"))
+    add_pencil, add_first = reductions(real).add_pencil, reductions(real).add_first
+    stencil, reached = gimp(real).stencil, gimp(real).reached
     zero, one, half = (wp.constant(real(value)) for value in (0.0, 1.0, 0.5))
+
+    @wp.func(module=name)
+    def nodes_reached(there: int, wxy: real, sz: vec3):
+        """How many nodes of a pencil of weight `wxy` along x and y a point reaches, none if it is not there."""
+        if there > 0 and wxy > zero:
+            return reached(sz)
+        return 0
 
     @wp.func(module=name)
     def add_point(
@@ -69,24 +82,26 @@ def fused_kernels(real):
         v: vec3,
         tau: vec6,
         theta: real,
+        there: int,
         sum_momentum: wp.array(dtype=vec4),
         sum_force: wp.array(dtype=vec4),
     ):
-        """Add a point to the nodes' sums."""
+        """Add a point to the nodes' sums, if it is there."""
         i, j, k, sx, sy, sz, dx, dy, dz = stencil(x, setup.inv_cell)
         carried, force_x, force_y, force_z, strain = point_load(setup, v, tau, theta)
         for a in range(3):
             for b in range(3):
                 wxy = sx[a] * sy[b]
-                if wxy > zero:
-                    flat = add_scaled(dx[a] * sy[b], force_x, add_scaled(sx[a] * dy[b], force_y, scaled(wxy, strain)))
-                    steep = scaled(wxy, force_z)
-                    momentum = scaled(wxy, carried)
-                    n = node_of(pencils, i + a, j + b, k)
-                    for c in range(3):
-                        if sz[c] > zero:
-                            add(sum_momentum, n + c, scaled(sz[c], momentum))
-                            add(sum_force, n + c, add_scaled(sz[c], flat, scaled(dz[c], steep)))
+                flat = add_scaled(dx[a] * sy[b], force_x, add_scaled(sx[a] * dy[b], force_y, scaled(wxy, strain)))
+                steep = scaled(wxy, force_z)
+                load = scaled(wxy, carried)
+                n = node_of(pencils, i + a, j + b, k)
+                nodes = nodes_reached(there, wxy, sz)
+                add_pencil(sum_momentum, n, scaled(sz[0], load), scaled(sz[1], load), scaled(sz[2], load), nodes, 4)
+                f0 = add_scaled(sz[0], flat, scaled(dz[0], steep))
+                f1 = add_scaled(sz[1], flat, scaled(dz[1], steep))
+                f2 = add_scaled(sz[2], flat, scaled(dz[2], steep))
+                add_pencil(sum_force, n, f0, f1, f2, nodes, 4)
 
     @wp.kernel(module=name)
     def start_steps(
@@ -95,17 +110,20 @@ def fused_kernels(real):
         clock: wp.array(dtype=float64),
         plan: wp.array(dtype=float64),
         points: Points,
+        count: wp.int32,
         speed: wp.array(dtype=real),
         fault: wp.array(dtype=wp.int32),
         sum_momentum: wp.array(dtype=vec4),
         sum_force: wp.array(dtype=vec4),
     ):
         """Before the first step of a batch: plan it, and add the points to the sums, which are clean."""
-        p = wp.tid()
-        if p == 0:
+        thread = wp.tid()
+        if thread == 0:
             plan_step(setup, clock, speed, fault, plan)
         if goes_on(setup, clock, speed, fault) > 0:
-            add_point(setup, pencils, points.x[p], points.v[p], points.tau[p], points.theta[p], sum_momentum, sum_force)
+            p = wp.min(thread, count - 1)
+            x, v, tau, theta = points.x[p], points.v[p], points.tau[p], points.theta[p]
+            add_point(setup, pencils, x, v, tau, theta, int(thread < count), sum_momentum, sum_force)
 
     @wp.kernel(module=name)
     def update_nodes(
@@ -159,6 +177,7 @@ def fused_kernels(real):
         pencils: Pencils,
         clock: wp.array(dtype=float64),
         points: Points,
+        count: wp.int32,
         node_velocity: wp.array(dtype=vec4),
         node_increment: wp.array(dtype=vec4),
         node_mapped: wp.array(dtype=vec4),
@@ -170,26 +189,26 @@ def fused_kernels(real):
         dt = real(clock[DT])
         if dt == zero:
             return
-        p = wp.tid()
+        thread = wp.tid()
+        p = wp.min(thread, count - 1)
         i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(points.x[p], setup.inv_cell)
         moved, gained = gather_velocity(pencils, i, j, k, sx, sy, sz, node_velocity, node_increment)
         vp, carried, work = flip(setup, points.v[p], moved, gained, dt)
-        if setup.decay > zero:
-            wp.atomic_add(ledger, WORK_DECAY, p & (ledger.shape[1] - 1), float64(work))
-        points.v[p] = vp
-        points.carry[p] = carried
+        if thread < count:
+            if setup.decay > zero:
+                wp.atomic_add(ledger, WORK_DECAY, p & (ledger.shape[1] - 1), float64(work))
+            points.v[p] = vp
+            points.carry[p] = carried
+            watch(setup, p, vp, carried, dt, speed, fault)
         m = setup.mass
         mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
         for a in range(3):
             for b in range(3):
                 wxy = sx[a] * sy[b]
-                if wxy > zero:
-                    momentum = scaled(wxy, mv)
-                    n = node_of(pencils, i + a, j + b, k)
-                    for c in range(3):
-                        if sz[c] > zero:
-                            add_vector(node_mapped, n + c, scaled(sz[c], momentum))
-        watch(setup, p, vp, carried, dt, speed, fault)
+                load = scaled(wxy, mv)
+                n = node_of(pencils, i + a, j + b, k)
+                nodes = nodes_reached(int(thread < count), wxy, sz)
+                add_pencil(node_mapped, n, scaled(sz[0], load), scaled(sz[1], load), scaled(sz[2], load), nodes, 3)
 
     @wp.kernel(module=name)
     def strain_to_nodes(
@@ -218,7 +237,7 @@ def fused_kernels(real):
                 n = node_of(pencils, i + a, j + b, k)
                 along, up = none, none
                 for c in range(3):
-                    q = load(node_mapped, n + c)
+                    q = read(node_mapped, n + c)
                     mask = vec3(one, one, one)
                     if near > 0:
                         mask = free_components(walls, i + a, j + b, k + c)
@@ -252,6 +271,7 @@ def fused_kernels(real):
         clock: wp.array(dtype=float64),
         plan: wp.array(dtype=float64),
         points: Points,
+        count: wp.int32,
         node_volume: wp.array(dtype=vec4),
         ledger: wp.array2d(dtype=float64),
         speed: wp.array(dtype=real),
@@ -264,10 +284,12 @@ def fused_kernels(real):
         dt = real(clock[DT])
         if dt == zero:
             return
-        p = wp.tid()
-        if p == 0 and last == 0:
+        thread = wp.tid()
+        if thread == 0 and last == 0:
             plan_step(setup, clock, speed, fault, plan)
-        x = points.x[p]
+        p = wp.min(thread, count - 1)
+        x = one * points.x[p]
+        tau, theta = vec6(), zero * points.theta[p]
         i, j, k, sx, sy, sz, _dx, _dy, _dz = stencil(x, setup.inv_cell)
         given = vec4(zero, zero, zero, zero)
         for a in range(3):
@@ -275,16 +297,17 @@ def fused_kernels(real):
                 n = node_of(pencils, i + a, j + b, k)
                 along = vec4(zero, zero, zero, zero)
                 for c in range(3):
-                    q = load(node_volume, n + c)
+                    q = read(node_volume, n + c)
                     along = add_scaled(sz[c], given_by_node(material, q[0], q[1], q[2]), along)
                 given = add_scaled(sx[a] * sy[b], along, given)
-        tau, theta = returned(setup, material, points, p, given, ledger)
-        x = x + dt * points.carry[p]
-        points.tau[p] = tau
-        points.theta[p] = theta
-        points.x[p] = x
+        if thread < count:
+            tau, theta = returned(setup, material, points, p, given, ledger)
+            x = x + dt * points.carry[p]
+            points.tau[p] = tau
+            points.theta[p] = theta
+            points.x[p] = x
         if last == 0 and goes_on(setup, clock, speed, fault) > 0:
-            add_point(setup, pencils, x, points.v[p], tau, theta, sum_momentum, sum_force)
+            add_point(setup, pencils, x, points.v[p], tau, theta, int(thread < count), sum_momentum, sum_force)
 
     @wp.kernel(module=name)
     def grid_energy(
