@@ -10,8 +10,9 @@ STEPS_PER_GRAPH = 10
 class FusedStep:
     """What `ExplicitSolver` hands its steps over to on a GPU, for as long as its node arrays are the same ones.
 
-    `phases`: the launches of a step, in order. Sums that points add to are clean before a batch of steps; after it the
-    node arrays are of its last step.
+    `phases`: the launches of a step, in order; `grid_energy`: the one that adds the kinetic energy of the nodes to the
+    solver's `energy`. Sums that points add to are clean before a batch of steps; after it the node arrays are of its
+    last step.
     """
 
     def __init__(self, solver):
@@ -41,7 +42,8 @@ class FusedStep:
         setup, clock, plan, points, ledger, watched = s.setup, s.clock, s.plan, s.arrays, s.ledger, (s.speed, s.fault)
         sums, ready = (self.sum_momentum, self.sum_force), (s.node_momentum, s.node_force, s.node_mapped)
         self._start = self._command(k.start_steps, whole, setup, pencils, clock, plan, points, n, *watched, *sums)
-        self._energy_of_grid = (s.walls, pencils, s.grid.pencil_of, s.node_momentum, s.node_mapped)
+        at_nodes = (s.walls, pencils, s.grid.pencil_of, s.node_momentum, s.node_mapped, s.energy)
+        self.grid_energy = self._command(k.grid_energy, nodes, *at_nodes)
         nodes_and_back = [
             self._command(k.update_nodes, nodes, setup, s.walls, pencils, plan, clock, s.speed, s.grid.pencil_of, *sums,
                           *ready, self.node_volume, ledger),
@@ -76,8 +78,3 @@ class FusedStep:
                     phase.launch()
             self._graphs[name] = capture.graph
         return self._graphs[name]
-
-    def grid_energy(self, energy: wp.array):
-        """Add the kinetic energy of the nodes to `energy`, as the phases' kernel of that name does."""
-        inputs = [*self._energy_of_grid, energy]
-        wp.launch(self.k.grid_energy, self.solver.grid.capacity, inputs=inputs, device=self.device)

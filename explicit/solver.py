@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from explicit.dials import Dials
-from explicit.fused import FusedStep
+from explicit.fused import STEPS_PER_GRAPH, FusedStep
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
 from explicit.kernels.sparse_grid import MARGIN
@@ -25,7 +25,6 @@ from mpm.precheck import over_courant
 # The reference code's 1e-3 m/s is this share of sqrt(g h0) for a column 1 m high.
 STILL = 3e-4
 UNSEEN = 4.0
-STEPS_PER_GRAPH = 10
 MOST_STEPS = 200
 LEDGER_COLUMNS_CUDA = 256  # a power of two: points find theirs with a mask
 POINT_STATE = ("x", "v", "tau", "theta", "dilated", "eps_p_eqv")
@@ -342,7 +341,7 @@ class ExplicitSolver:
         inputs = [self.setup, self.material, self.arrays, row]
         wp.launch(k.point_energy, self.points, inputs=inputs, device=self.device)
         if self.fused:
-            self.fused_step.grid_energy(row)
+            self.fused_step.grid_energy.launch()
         else:
             nodes = [self.node_momentum, self.node_mapped, self.counted, row]
             wp.launch(k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
