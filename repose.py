@@ -52,27 +52,32 @@ def run(
     device: str = "cpu",
     force: bool = False,
     progress: bool = True,
+    ranks: int | Literal["all"] = 1,
 ) -> Result:
     """Compute a scene to its end; the results.
 
     `directory`: where they are kept; None: in a temporary folder that goes with the returned object. A folder that
     holds the finished run of this very scene, solver, device and code is opened and nothing is computed, so that a
     notebook's cell can be run again; another run in it is replaced only with `force`. `mode`: the solver. `device`:
-    "cpu" or "cuda:0", of the explicit solver. `progress`: show a bar.
+    "cpu" or "cuda:0", of the explicit solver. `progress`: show a bar. `ranks`: MPI ranks that compute it, "all": one a
+    core; they are started for this run, and show lines in place of a bar.
 
-    Raises SceneError for bad input (all problems at once) and a folder in use, NumericalError where a run diverges (its
-    message names the last checkpoint), KeyboardInterrupt after Ctrl-C, once a checkpoint is saved.
+    Raises SceneError for bad input (all problems at once), a folder in use, and where there is no MPI for ranks;
+    NumericalError where a run diverges (its message names the last checkpoint); KeyboardInterrupt after Ctrl-C, once a
+    checkpoint is saved; ChildProcessError where a rank was killed: `repose resume` goes on from the last checkpoint.
     """
-    from compare.cli.terminal import Monitor
-    from compare.solvers import runs_of
+    from compare.launch import call, count_of, refuse_nested, refuse_ranks
 
+    refuse_nested("repose.run")
+    if (many := count_of(ranks)) > 1:
+        refuse_ranks(mode, device)
     scene, temporary = _resolved(scene), None
     if directory is None:
         temporary = tempfile.TemporaryDirectory(prefix=f"{scene.name}-{mode}-")
         directory = temporary.name
     if force or not _finished(Path(directory), scene, mode, device):
-        monitor = Monitor(banner=False) if progress else None
-        runs_of(mode).run(scene, directory, device, force=force, monitor=monitor)
+        asked = (scene, directory, mode, device, force, progress)
+        call(many, _compute, *asked) if many > 1 else _compute(*asked)
     return Result(directory, temporary)
 
 
@@ -86,17 +91,21 @@ def compare(
     directory: str | Path | None = None,
     device: str = "cpu",
     force: bool = False,
+    ranks: int | Literal["all"] = 1,
 ) -> Comparison:
     """Both solvers (the explicit one with D = 0.4) on the scene's grid and on a coarser one, against Eq. 4.
 
     `directory`: where runs and report are kept; None: in a temporary folder that goes with the returned object. Runs
-    that are there already are not computed again. Raises SceneError as `run`, and where dolfinx is missing.
+    that are there already are not computed again. `ranks`: as in `run`, of the explicit runs. Raises SceneError as
+    `run`, and where dolfinx is missing.
     """
     from compare.cli.terminal import BatchMonitor
     from compare.comparison import compare_solvers
+    from compare.launch import count_of, refuse_nested
     from compare.report.page import write_report
     from mpm.load import to_toml
 
+    refuse_nested("repose.compare")
     scene, temporary = _resolved(scene), None
     if directory is None:
         temporary = tempfile.TemporaryDirectory(prefix=f"{scene.name}-compare-")
@@ -106,7 +115,7 @@ def compare(
     file = directory / "scene.toml"
     file.write_text(to_toml(scene), encoding="utf-8")
     asked = f"repose.compare({str(file)!r})"
-    report = compare_solvers(directory, force, BatchMonitor(), asked, str(file), [], device)
+    report = compare_solvers(directory, force, BatchMonitor(), asked, str(file), [], device, count_of(ranks))
     write_report(report, directory)
     return Comparison(directory, report, temporary)
 
@@ -268,6 +277,15 @@ class Solver:
     def restore(self, state: dict[str, Any]) -> None:
         """Go back to what `state` gave."""
         self._solver.restore(state)
+
+
+def _compute(scene: Scene, directory: str | Path, mode: Mode, device: str, force: bool, progress: bool) -> None:
+    """Run a scene into `directory`."""
+    from compare.cli.terminal import Monitor
+    from compare.solvers import runs_of
+
+    monitor = Monitor(banner=False) if progress else None
+    runs_of(mode).run(scene, directory, device, force=force, monitor=monitor)
 
 
 def _resolved(scene: Scene | str | Path) -> Scene:

@@ -10,11 +10,12 @@ import subprocess
 import sys
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
+from compare.launch import ONE_THREAD, exit_code, may_take_ranks, refuse_ranks, sorted_lines, start, stop
 from compare.solvers import runs_of
 from compare.worker import JOB, OUTCOME
 from mpm.body import build
@@ -29,8 +30,13 @@ from mpm.scene import Mesh, Scene
 
 LOCK = "lock"
 LOOK_EVERY = 0.2  # [s] between looks at the processes
-# A run takes one core, so that those of a batch can be compared and run side by side.
-ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+
+
+class Workers(NamedTuple):
+    """How many runs of a batch go at a time, and on how many MPI ranks each, where its solver takes several."""
+
+    runs: int = 1
+    ranks: int = 1
 
 
 @dataclass(frozen=True)
@@ -38,6 +44,7 @@ class Job:
     """One run: `name` in its study, scene file or preset, `--set` overrides, mode, device.
 
     `regularisation`: what differs from `implicit.pseudo_time.Regularisation`. `repeat`: which of several equal runs.
+    `ranks`: how many MPI ranks compute it; of a solver that takes one alone it is one.
     """
 
     name: str
@@ -47,6 +54,7 @@ class Job:
     device: str = "cpu"
     regularisation: dict[str, float] = field(default_factory=dict)
     repeat: int = 1
+    ranks: int = 1
 
     @cached_property
     def scene(self) -> Scene:
@@ -55,13 +63,15 @@ class Job:
 
     @cached_property
     def key(self) -> str:
-        """Digest of all that decides the result: resolved scene, mode, regularisation, device and the solver's code.
+        """Digest of what decides result and cost: resolved scene, mode, regularisation, device, ranks, solver's code.
 
         Raises SceneError for a device that is not there, with a list of those that are, or an unreadable mesh file.
         """
         find_device(self.device)
         decides: list[Any] = [self.scene.model_dump(mode="json"), self.mode, self.regularisation]
         decides += [device_name(self.device), code_version(self.mode), self.repeat]
+        if self.ranks > 1:
+            decides.append(f"{self.ranks} ranks")
         if isinstance(self.scene.geometry, Mesh):
             file = Path(self.scene.geometry.file)
             try:
@@ -73,9 +83,10 @@ class Job:
     @property
     def command(self) -> str:
         """The command that makes the same run, or the benchmark's where the command line has no such setting."""
+        ranks = ["--ranks", str(self.ranks)] if self.ranks > 1 else []
         settings = [word for item in self.settings for word in ("--set", item)]
         if not self.regularisation:
-            return command("run", self.reference, "--mode", self.mode, "--device", self.device, *settings)
+            return command("run", self.reference, "--mode", self.mode, "--device", self.device, *ranks, *settings)
         words = ["python", "benchmarks/implicit_runs.py", self.reference, "--table", "FILE"]
         words += [word for name, value in self.regularisation.items() for word in ("--reg", f"{name}={value:g}")]
         return shlex.join(words + settings)
@@ -102,8 +113,8 @@ class Outcome:
         return Results.open(self.folder)
 
 
-def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor) -> list[Outcome]:
-    """Run what is not there yet, `workers` processes at a time; the outcomes in the order of `jobs`.
+def run_all(jobs: list[Job], directory: Path, workers: Workers, force: bool, monitor) -> list[Outcome]:
+    """Run what is not there yet, with so many `workers`; the outcomes in the order of `jobs`.
 
     A run's folder is `directory`/NAME-KEY, so that another scene, device or version of the code never meets it.
     `force` runs all of them again. `monitor` has `start(jobs)`, `look(job, log)`, `ended(outcome)` and `stop()`.
@@ -112,6 +123,11 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
     same call, without `force`, then goes on from there.
     """
     outcomes: list[Outcome | None] = [None] * len(jobs)
+    if workers.ranks > 1:
+        takers = [job for job in jobs if may_take_ranks(job.mode, job.device)]
+        if jobs and not takers:
+            refuse_ranks(jobs[0].mode, jobs[0].device)
+        jobs = [replace(job, ranks=workers.ranks) if job in takers else job for job in jobs]
     folders = [directory / f"{job.name}-{job.key}" for job in jobs]  # every scene is resolved before any run starts
     for mode in {job.mode: None for job in jobs}:
         runs_of(mode)
@@ -124,7 +140,7 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
         monitor.start(jobs)
         try:
             while waiting or active:
-                while waiting and len(active) < workers:
+                while waiting and len(active) < workers.runs:
                     number = waiting.pop(0)
                     job, folder = jobs[number], folders[number]
                     if not force and (folder / OUTCOME).is_file():
@@ -138,7 +154,7 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
                     if (code := process.poll()) is None:
                         continue
                     del active[number]
-                    if code == INTERRUPTED:
+                    if exit_code(code) == INTERRUPTED:
                         raise KeyboardInterrupt
                     outcomes[number] = _outcome(jobs[number], folder, code)
                     monitor.ended(outcomes[number])
@@ -146,8 +162,9 @@ def run_all(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
             same = "the same command without --force" if force else "the same command"
             raise KeyboardInterrupt(f"stopped; finished runs are in {directory}: {same} goes on") from None
         finally:
-            for _, process in active.values():
-                process.send_signal(signal.SIGINT)  # again, if the terminal has sent it: that does no harm
+            for number, (_, process) in active.items():
+                # Again, if the terminal has sent it: that does no harm.
+                stop(process) if jobs[number].ranks > 1 else process.send_signal(signal.SIGINT)
             for _, process in active.values():
                 process.wait()
             monitor.stop()
@@ -176,15 +193,13 @@ def _start(job: Job, folder: Path, force: bool, lock) -> subprocess.Popen:
     asked = {"scene": job.scene.model_dump(mode="json"), "mode": job.mode, "device": job.device}
     asked |= {"regularisation": job.regularisation, "command": job.command, "code": code_version(job.mode)}
     (folder / JOB).write_text(json.dumps(asked, indent=2), encoding="utf-8")
+    words = ["-P", "-m", "compare.worker", str(folder)]
+    env = os.environ | ONE_THREAD | {"COLUMNS": "200", "PYTHONUNBUFFERED": "1"}
+    streams: dict[str, Any] = {"stderr": subprocess.STDOUT, "stdin": subprocess.DEVNULL, "pass_fds": (lock.fileno(),)}
     with open(_log(folder), "w", encoding="utf-8") as log:
-        return subprocess.Popen(
-            [sys.executable, "-P", "-m", "compare.worker", str(folder)],
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            stdin=subprocess.DEVNULL,
-            pass_fds=(lock.fileno(),),
-            env=os.environ | ONE_THREAD | {"COLUMNS": "200", "PYTHONUNBUFFERED": "1"},
-        )
+        if job.ranks > 1:
+            return start(job.ranks, words, stdout=log, env=env, **streams)
+        return subprocess.Popen([sys.executable, *words], stdout=log, env=env, **streams)
 
 
 def _log(folder: Path) -> Path:
@@ -198,5 +213,6 @@ def _outcome(job: Job, folder: Path, code: int = 0, reused: bool = False) -> Out
         summary = Results.open(folder).summary() if said["status"] == "done" else None
         return Outcome(job, folder, summary, said["reason"], reused)
     how = f"signal {-code}" if code < 0 else f"exit code {code}"
-    lines = _log(folder).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    log = _log(folder).read_text(encoding="utf-8", errors="replace").strip().splitlines()
+    lines = [line for line, is_launchers in sorted_lines(log) if line and not is_launchers]
     return Outcome(job, folder, None, f"the process died ({how}): {lines[-1] if lines else 'without a word'}")

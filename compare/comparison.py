@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from compare.batch import Job, Outcome, run_all
+from compare.batch import Job, Outcome, Workers, run_all
 from compare.checks import quasistatic_checks
 from compare.metrics import axis_of, deposit, eq4_profile, profile, profile_distance
 from compare.plots.reports import draw_cost, draw_histories, draw_plan_and_section, draw_profiles, strain_limit
@@ -65,13 +65,15 @@ def plan(reference: str, settings: list[str], device: str) -> list[Job]:
     ]
 
 
-def compare_solvers(directory: Path, force, monitor, command: str, reference: str, settings, device: str) -> dict:
+def compare_solvers(
+    directory: Path, force, monitor, command: str, reference: str, settings, device: str, ranks: int = 1
+) -> dict:
     """Run or reuse what `plan` asks for, and draw the figures in `directory`; the report (see `compare.report`)."""
     jobs = plan(reference, settings, device)
     scene = jobs[0].scene
     about_what = {"study": "compare", "scene": scene.model_dump(mode="json"), "device": device}
     refuse_another(directory, about_what, force)
-    outcomes = run_all(jobs, directory / "runs", 1, force, monitor)
+    outcomes = run_all(jobs, directory / "runs", Workers(ranks=ranks), force, monitor)
     labels = [_label(one) for one in outcomes]
     deposits = [deposit(one.results) if one.done else None for one in outcomes]
     fine = {one.job.mode: one for one in outcomes[:2] if one.done}

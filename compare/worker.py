@@ -8,12 +8,14 @@ import json
 import sys
 from pathlib import Path
 
+from compare.cli.ranks import take_part
 from compare.cli.terminal import Monitor
 from compare.solvers import runs_of
 from mpm.caches import announce_compilation
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
 from mpm.load import parse_scene
 from mpm.provenance import code_version
+from mpm.ranks import started
 from mpm.results import CHECKPOINT, SUMMARY
 
 JOB, OUTCOME = "job.json", "outcome.json"
@@ -60,4 +62,7 @@ def _resumed(runs, folder: Path, device: str) -> bool:
 
 if __name__ == "__main__":
     announce_compilation()
-    sys.exit(work(Path(sys.argv[1])))
+    if started():
+        take_part(lambda: sys.exit(work(Path(sys.argv[1]))))
+    else:
+        sys.exit(work(Path(sys.argv[1])))

@@ -12,6 +12,9 @@ class SceneError(ValueError):
         self.problems = [problems] if isinstance(problems, str) else list(problems)
         super().__init__("\n".join(self.problems))
 
+    def __reduce__(self):  # what another process raises is one of several problems still
+        return type(self), (self.problems,)
+
 
 class NumericalError(RuntimeError):
     """A run that cannot go on (exit code 3): says the time, the step, the point and what is saved."""

@@ -5,9 +5,14 @@ import os
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")  # in which Open MPI and MPICH tell a process how many ranks there are
 
 
+def count() -> int:
+    """How many ranks the program was started on."""
+    return max(int(os.environ.get(name, "1")) for name in SIZES)
+
+
 def started() -> bool:
     """Whether this process is one of several ranks."""
-    return any(int(os.environ.get(name, "1")) > 1 for name in SIZES)
+    return count() > 1
 
 
 def world():

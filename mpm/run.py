@@ -13,6 +13,7 @@ from mpm.errors import NumericalError, SceneError
 from mpm.fields import follow, following
 from mpm.packing import packing
 from mpm.provenance import peak_memory_mb
+from mpm.ranks import count
 from mpm.results import Results
 from mpm.runout import run_out
 from mpm.seed import Seeds
@@ -280,6 +281,7 @@ class Run:
             "cells_per_radius": self.body.measure.reference / scene.grid.cell,
             "precision": self.precision,
             "device": self.device,
+            "ranks": count(),
             "steps": solver.steps,
             "sim_time": solver.time,
             "wall_s": wall,

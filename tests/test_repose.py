@@ -1,7 +1,13 @@
 """The Python face: what a script or a notebook calls."""
 
+import importlib.util
+import os
+import shutil
+import signal
 import subprocess
 import sys
+import threading
+import time
 
 import numpy as np
 import pytest
@@ -11,6 +17,12 @@ import repose
 from mpm.load import preset_names, to_toml
 
 COARSE = {"grid": {"cell": 0.25}, "explicit": {"damping": 0.4, "until": 0.4}, "output": {"every": 0.1}}
+
+
+needs_mpi = pytest.mark.skipif(
+    importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None,
+    reason="no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)",
+)
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +75,53 @@ def test_a_cell_can_be_run_again_and_another_scene_is_not_overwritten(tmp_path, 
     with pytest.raises(repose.SceneError, match="not empty"):
         repose.run(other, tmp_path / "run", progress=False)
     assert repose.run(other, tmp_path / "run", force=True, progress=False).summary["sim_time"] == pytest.approx(0.02)
+
+
+@needs_mpi
+def test_ranks_compute_the_same_run(result):
+    many = repose.run(result.scene, ranks=2, progress=False)
+    assert many.summary["ranks"] == 2 and result.summary["ranks"] == 1
+    np.testing.assert_allclose(many.points, result.points, rtol=0, atol=1e-6)  # snapshots are in single precision
+    assert many.history.keys() == result.history.keys()
+    assert {path.name for path in many.directory.iterdir()} == {path.name for path in result.directory.iterdir()}
+
+
+@needs_mpi
+def test_what_ends_a_run_on_ranks_badly_is_raised_here(tmp_path):
+    tiny = repose.load_scene("column_small", grid={"cell": 0.25}, explicit={"until": 0.01})
+    (tmp_path / "taken").mkdir()
+    (tmp_path / "taken" / "file").touch()
+    with pytest.raises(repose.SceneError, match="not empty"):
+        repose.run(tiny, tmp_path / "taken", ranks=2)
+    doomed = repose.load_scene("column_small", grid={"cell": 0.25}, explicit={"time_step": 0.003986})
+    with pytest.raises(repose.NumericalError, match=r"Courant limit[\s\S]*last good state"):
+        repose.run(doomed, ranks=2, progress=False)
+
+
+@needs_mpi
+def test_ctrl_c_saves_a_run_on_ranks(tmp_path):
+    long = repose.load_scene("column_small", explicit={"until": 60.0}, output={"every": 0.05, "vtk": False})
+
+    def interrupt():
+        while not (tmp_path / "run" / "checkpoint.h5").is_file():
+            time.sleep(0.05)
+        os.kill(os.getpid(), signal.SIGINT)
+
+    threading.Thread(target=interrupt).start()
+    with pytest.raises(KeyboardInterrupt, match="goes on"):
+        repose.run(long, tmp_path / "run", ranks=2, progress=False)
+    assert repose.open_run(tmp_path / "run").summary == {}
+
+
+def test_ranks_that_cannot_be_had_are_refused(monkeypatch):
+    with pytest.raises(repose.SceneError, match="must be a number of MPI ranks"):
+        repose.run("column_small", ranks=0)
+    with pytest.raises(repose.SceneError, match="on a GPU"):
+        repose.run("column_small", ranks=2, device="cuda:0")
+    monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
+    for call in (repose.run, repose.compare):
+        with pytest.raises(repose.SceneError, match="without mpirun"):
+            call("column_small")
 
 
 @pytest.mark.parametrize("name", preset_names())

@@ -7,8 +7,8 @@ import sys
 import tempfile
 from pathlib import Path
 
-from compare.batch import ONE_THREAD
 from compare.bench.worker import YARDSTICK_CELLS, column
+from compare.launch import ONE_THREAD
 from compare.plots.reports import draw_growth
 from compare.report.page import refuse_another, write_table
 from compare.report.sections import check, figure, verdict

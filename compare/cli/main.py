@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from compare.cli.options import SpacedNumbers, SpacedWords
-from compare.cli.ranks import spread, take_part
+from compare.cli.ranks import runs_at_a_time, spread, take_part
 from compare.cli.terminal import BatchMonitor, Monitor, announce, err, out, summary_table
 from compare.solvers import runs_of
 from mpm.caches import announce_compilation
@@ -61,7 +61,7 @@ DeviceOption = Annotated[str, typer.Option(help="cpu or cuda:0, cuda:1, ...")]
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR")]
 AgainOption = Annotated[bool, typer.Option("--force", help="run again what is there, replace another report in DIR")]
 RanksOption = Annotated[str, typer.Option("--ranks", metavar="N|all", help="MPI ranks; all: one a core (explicit)")]
-JobsOption = Annotated[int, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
+JobsOption = Annotated[int | None, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
 DirArg = Annotated[Path, typer.Argument(metavar="DIR", help="folder of a run")]
 
 
@@ -93,7 +93,7 @@ def run(
     """Run a scene: writes DIR/results.h5, DIR/summary.json and DIR/vtk for ParaView."""
     from mpm.load import load_scene
 
-    spread(ranks, mode.value)
+    spread(ranks, mode.value, device)
     validated = load_scene(scene, set_)
     solver = runs_of(mode.value)
     directory = directory or Path("runs") / f"{validated.name}-{mode.value}"
@@ -109,8 +109,9 @@ def resume(
     """Go on with a run from its last checkpoint, on as many ranks as you like."""
     from mpm.results import Results
 
-    mode = str(Results.open(directory).provenance.get("mode", Mode.explicit.value))
-    spread(ranks, mode)
+    started_as = Results.open(directory).provenance
+    mode = str(started_as.get("mode", Mode.explicit.value))
+    spread(ranks, mode, device or str(started_as["device"]))
     solver = runs_of(mode)
     _follow(directory, solver.resume, directory, device, Monitor())
 
@@ -146,13 +147,14 @@ def compare(
     set_: SetOption = [],  # noqa: B006
     directory: OutOption = None,
     force: AgainOption = False,
+    ranks: RanksOption = "1",
 ):
     """Implicit against explicit (D = 0.4) and Eq. 4, from one scene: writes DIR/report.html, report.json, table.csv."""
     from compare.comparison import compare_solvers
 
     name = _announced(scene, set_).name
     directory = directory or Path("runs") / f"{name}-compare"
-    _report(directory, force, compare_solvers, scene, set_, device)
+    _report(directory, force, compare_solvers, scene, set_, device, _workers(1, ranks).ranks)
 
 
 @study.command("error", cls=SpacedNumbers)
@@ -169,15 +171,16 @@ def study_error(
     device: DeviceOption = "cpu",
     set_: SetOption = [],  # noqa: B006
     directory: OutOption = None,
-    jobs: JobsOption = 1,
+    jobs: JobsOption = None,
     force: AgainOption = False,
+    ranks: RanksOption = "1",
 ):
     """Speed against error of both solvers, over resolution, precision, step and stiffness (an hour or more)."""
     from compare.studies.error import study_error
 
     name = _announced(scene, set_).name
     directory = directory or Path("runs") / f"{name}-error"
-    _report(directory, force, study_error, scene, set_, cells, finer, device, jobs)
+    _report(directory, force, study_error, scene, set_, cells, finer, device, _workers(jobs, ranks))
 
 
 @study.command("paper", cls=SpacedNumbers)
@@ -187,28 +190,29 @@ def study_paper(
     quick: Annotated[bool, typer.Option("--quick", help="8 cells per r0 instead of the paper's 20")] = False,
     device: DeviceOption = "cpu",
     directory: OutOption = None,
-    jobs: JobsOption = 1,
+    jobs: JobsOption = None,
     force: AgainOption = False,
+    ranks: RanksOption = "1",
 ):
     """The paper's runs beside theory, experiments and the implicit solver."""
     from compare.studies.paper import study_paper
 
     directory = directory or Path("runs") / f"paper{'-quick' if quick else ''}"
-    _report(directory, force, study_paper, lambda0, damping, quick, device, jobs)
+    _report(directory, force, study_paper, lambda0, damping, quick, device, _workers(jobs, ranks))
 
 
 @study.command("stability")
 def study_stability(
     quick: Annotated[bool, typer.Option("--quick", help="leave out the cases of more than half a minute")] = False,
     directory: OutOption = None,
-    jobs: JobsOption = 2,
+    jobs: JobsOption = None,
     force: AgainOption = False,
 ):
     """Hard cases of both solvers: what is stable, degraded or refused, with figures and limits."""
     from compare.studies.stability import study_stability
 
     directory = directory or Path("runs") / f"stability{'-quick' if quick else ''}"
-    _report(directory, force, study_stability, quick, jobs)
+    _report(directory, force, study_stability, quick, runs_at_a_time(jobs, 1, usual=2))
 
 
 @app.command("bench", cls=SpacedNumbers)
@@ -282,6 +286,15 @@ def _announced(reference: str, settings: list[str]):
     scene = load_scene(reference, settings)
     announce(build(scene))
     return scene
+
+
+def _workers(jobs: int | None, ranks: str):
+    """How many runs of a study go at a time, and on how many ranks each (see `runs_at_a_time`)."""
+    from compare.batch import Workers
+    from compare.launch import count_of
+
+    count = count_of(ranks)
+    return Workers(runs_at_a_time(jobs, count), count)
 
 
 def _follow(folder: Path, solve, *arguments):

@@ -1,5 +1,6 @@
 """What a person at a terminal sees of a run: banner, progress, closing table. Plain lines when not a terminal."""
 
+import os
 import time
 from typing import Any
 
@@ -7,6 +8,10 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from compare.launch import PLAIN_OUTPUT, cores, may_take_ranks
+from mpm.ranks import count
+
+LARGE = 20_000  # points of a run that gains from a second core
 PLAIN_EVERY = 10.0  # seconds between progress lines when the output is not a terminal
 BATCH_PLAIN_EVERY = 60.0  # likewise of a study, whose runs say more in their logs
 # How far a run is, in the unit of its `progress`.
@@ -17,7 +22,7 @@ PROGRESS = {
 
 # No markup: "[s]" is a unit here, and a path may hold brackets; no emoji: nor is ":s:" one.
 PLAIN: dict[str, Any] = {"highlight": False, "soft_wrap": True, "markup": False, "emoji": False}
-out = Console(**PLAIN)
+out = Console(**PLAIN, force_terminal=False if PLAIN_OUTPUT in os.environ else None)
 err = Console(stderr=True, **PLAIN)
 
 
@@ -31,9 +36,10 @@ def banner(run) -> str:
         each, nodes = "", f"{3 * solver.nodes_solved_start:,} unknowns"
         memory = f"{run.memory_mb():.0f} MB of memory"
     where = run.results.provenance["device_name"]
+    ranks = f" on {count()} ranks" if count() > 1 else ""
     return (
         f"{run.body.scene.name}: {run.mode}, {solver.points:,} points{each}, {nodes}, dt = {solver.time_step:.3g} s, "
-        f"{run.precision}, {run.device} ({where}), {memory}, set up in {run.setup_s:.1f} s"
+        f"{run.precision}, {run.device}{ranks} ({where}), {memory}, set up in {run.setup_s:.1f} s"
     )
 
 
@@ -48,6 +54,14 @@ def announce(body):
         out.print(f"{body.scene.name}: {said}")
 
 
+def idle_cores(run) -> str:
+    """What to tell of a large run on one core of several; "" of any other."""
+    could = may_take_ranks(run.mode, run.device) and count() == 1
+    if not could or run.solver.points < LARGE or (there := cores()) == 1:
+        return ""
+    return f"this takes one of {there} cores; --ranks {there} (or all) takes all of them"
+
+
 class Monitor:
     """Follows a run: `start` prints the banner, where it is wanted, and what `announce` says, `row` moves the bar (or
     prints a line), `stop` clears it."""
@@ -59,6 +73,8 @@ class Monitor:
     def start(self, run):
         if self.banner:
             out.print(banner(run))
+            if said := idle_cores(run):
+                out.print(said)
         announce(run.body)
         if not (out.is_terminal or out.is_jupyter):
             return

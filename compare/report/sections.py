@@ -93,13 +93,14 @@ def stability_table(outcomes: list[Outcome], labels: list[str]) -> dict:
 
 def cost_table(outcomes: list[Outcome], labels: list[str]) -> dict:
     """Time and memory of each run that ended."""
+    figures = ("precision", "setup_s", "wall_s", "peak_memory_mb", "device")
     rows = [
-        [label, s["precision"], s["setup_s"], s["wall_s"], s["peak_memory_mb"], s["device"], outcome.job.command]
+        [label, *(s[name] for name in figures), s.get("ranks", 1), outcome.job.command]
         for outcome, label in zip(outcomes, labels, strict=True)
         if (s := outcome.summary)
     ]
-    columns = ["run", "precision", "set-up [s]", "time stepping [s]", "peak memory [MB]", "device", "command"]
-    return {"caption": "Cost: one core (or the GPU named) each", "columns": columns, "rows": rows}
+    columns = ["run", "precision", "set-up [s]", "time stepping [s]", "peak memory [MB]", "device", "ranks", "command"]
+    return {"caption": "Cost: a core for each MPI rank, or the GPU named", "columns": columns, "rows": rows}
 
 
 def failures(outcomes: list[Outcome], labels: list[str]) -> list[str]:

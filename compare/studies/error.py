@@ -6,7 +6,7 @@ from statistics import median
 
 import numpy as np
 
-from compare.batch import Job, Outcome, run_all
+from compare.batch import Job, Outcome, Workers, run_all
 from compare.convergence import Limit, richardson
 from compare.metrics import deposit, profile, profile_distance
 from compare.plots.reports import draw_cost, draw_profiles, draw_stiffness
@@ -72,7 +72,7 @@ def ladder(reference: str, settings: list[str], cells: list[float], finer: list[
     return sorted(jobs, key=lambda one: one.scene.material.young**0.5 / one.scene.grid.cell**4, reverse=True)
 
 
-def measure(jobs: list[Job], directory: Path, workers: int, force: bool, monitor) -> list[list[Outcome]]:
+def measure(jobs: list[Job], directory: Path, workers: Workers, force: bool, monitor) -> list[list[Outcome]]:
     """Run the jobs, those of under two minutes `REPEATS` times; the outcomes of each."""
     first = run_all(jobs, directory, workers, force, monitor)
     short = [one for one in first if one.done and one.summary["wall_s"] < REPEAT_BELOW]
@@ -85,7 +85,7 @@ def measure(jobs: list[Job], directory: Path, workers: int, force: bool, monitor
 
 
 def study_error(
-    directory: Path, force, monitor, command: str, reference: str, settings, cells, finer, device: str, workers: int
+    directory: Path, force, monitor, command: str, reference: str, settings, cells, finer, device: str, workers: Workers
 ) -> dict:
     """Run or reuse the ladder and draw the figures in `directory`; the report (see `compare.report.page`)."""
     jobs = ladder(reference, settings, cells, finer, device)
@@ -116,7 +116,7 @@ def study_error(
         "about": about_what,
         "title": f"{name}: speed against error",
         "lead": f"Quasistatic collapse to rest by the explicit solver (D = {DAMPING}) and by the implicit one, over "
-        f"resolution, precision, step and stiffness. Runs at a time: {workers}, one core each.",
+        f"resolution, precision, step and stiffness. Runs at a time: {workers.runs}, each on {_ranks(workers)}.",
         "verdict": verdict(checks),
         "checks": checks,
         "sections": sections,
@@ -125,6 +125,10 @@ def study_error(
         "limits": limits,
         "rows": rows,
     }
+
+
+def _ranks(workers: Workers) -> str:
+    return f"{workers.ranks} MPI ranks where its solver takes several" if workers.ranks > 1 else "one core"
 
 
 def _row(outcomes: list[Outcome]) -> dict:

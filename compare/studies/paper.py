@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from compare.batch import Job, Outcome, run_all
+from compare.batch import Job, Outcome, Workers, run_all
 from compare.experiments import measured_runout
 from compare.metrics import deposit
 from compare.plots.reports import draw_profiles, draw_run_outs
@@ -55,7 +55,7 @@ def plan(lambda0: list[float], damping: list[float], quick: bool, device: str) -
 
 
 def study_paper(
-    directory: Path, force, monitor, command: str, lambda0, damping, quick: bool, device: str, workers: int
+    directory: Path, force, monitor, command: str, lambda0, damping, quick: bool, device: str, workers: Workers
 ) -> dict:
     """Run or reuse the paper's runs and draw the figures in `directory`; the report (see `compare.report.page`)."""
     if min(lambda0) <= 0 or min(damping) < 0 or max(damping) >= 1:

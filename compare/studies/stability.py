@@ -9,9 +9,9 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from compare.batch import ONE_THREAD
 from compare.hard import clay, collapse, law, rest, transfer
 from compare.hard.case import CASES, Case, judge
+from compare.launch import ONE_THREAD
 from compare.report.page import refuse_another, write_table
 from compare.report.sections import check, verdict
 from mpm.provenance import code_version, provenance

@@ -1,6 +1,8 @@
 """Runs of a study: kept and reused, gone on with where they stopped, failures reported without losing the others."""
 
+import importlib.util
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -8,11 +10,15 @@ import time
 
 import pytest
 
-from compare import batch
-from compare.batch import Job, run_all
+from compare import batch, launch
+from compare.batch import Job, Workers, run_all
 from mpm.errors import SceneError
 from mpm.results import Results
 
+needs_mpi = pytest.mark.skipif(
+    importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None,
+    reason="no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)",
+)
 FAST = ("grid.cell=0.25", "explicit.until=0.05", "output.vtk=false")
 
 
@@ -40,10 +46,10 @@ def job(name="a", *settings, **named):
 
 
 def test_a_run_is_kept_and_another_setting_never_meets_it(tmp_path):
-    first = run_all([job()], tmp_path, 1, False, Quiet())[0]
+    first = run_all([job()], tmp_path, Workers(), False, Quiet())[0]
     assert first.done and first.summary["sim_time"] == pytest.approx(0.05)
     monitor = Quiet()
-    again, other = run_all([job(), job("a", "explicit.damping=0.1")], tmp_path, 1, False, monitor)
+    again, other = run_all([job(), job("a", "explicit.damping=0.1")], tmp_path, Workers(), False, monitor)
     assert monitor.names == [("a", True), ("a", False)]
     assert monitor.stopped
     assert again.summary == first.summary
@@ -62,17 +68,17 @@ def test_the_solvers_code_and_the_device_are_part_of_what_a_run_is(monkeypatch):
 
 
 def test_each_run_has_a_log_of_its_own_whatever_dots_its_name_has(tmp_path):
-    run_all([job("D0.4-0.5"), job("D0.4-0.25", "explicit.damping=0.2")], tmp_path, 2, False, Quiet())
+    run_all([job("D0.4-0.5"), job("D0.4-0.25", "explicit.damping=0.2")], tmp_path, Workers(2), False, Quiet())
     logs = sorted(path.name for path in tmp_path.glob("*.log"))
     assert [name.rpartition("-")[0] for name in logs] == ["D0.4-0.25", "D0.4-0.5"]
     assert all("column_small: explicit" in (tmp_path / name).read_text() for name in logs)
 
 
 def test_force_runs_it_again(tmp_path):
-    first = run_all([job()], tmp_path, 1, False, Quiet())[0]
+    first = run_all([job()], tmp_path, Workers(), False, Quiet())[0]
     date = first.results.provenance["date"]
     time.sleep(1.1)  # dates are to the second
-    again = run_all([job()], tmp_path, 1, True, Quiet())[0]
+    again = run_all([job()], tmp_path, Workers(), True, Quiet())[0]
     assert not again.reused
     assert again.results.provenance["date"] > date
     assert again.summary["R_995"] == first.summary["R_995"]
@@ -80,10 +86,10 @@ def test_force_runs_it_again(tmp_path):
 
 def test_a_failed_run_says_why_and_the_others_go_on(tmp_path):
     jobs = [job("bad", "explicit.time_step=0.003986"), job("good")]  # h/c = 3.988 ms: too long as points speed up
-    bad, good = run_all(jobs, tmp_path, 2, False, Quiet())
+    bad, good = run_all(jobs, tmp_path, Workers(2), False, Quiet())
     assert not bad.done and good.done
     assert "Courant limit" in bad.reason
-    kept = run_all(jobs[:1], tmp_path, 1, False, Quiet())[0]
+    kept = run_all(jobs[:1], tmp_path, Workers(), False, Quiet())[0]
     assert kept.reused and kept.reason == bad.reason
 
 
@@ -93,11 +99,11 @@ def test_a_process_that_dies_is_a_failed_run_and_is_tried_again(tmp_path, monkey
     shell.write_text(f"#!/bin/sh\necho last words\n{script}\n")
     shell.chmod(0o755)
     monkeypatch.setattr(batch.sys, "executable", str(shell))
-    (dead,) = run_all([job()], tmp_path / "runs", 1, False, Quiet())
+    (dead,) = run_all([job()], tmp_path / "runs", Workers(), False, Quiet())
     assert not dead.done
     assert how in dead.reason and "last words" in dead.reason
     monkeypatch.undo()
-    assert run_all([job()], tmp_path / "runs", 1, False, Quiet())[0].done
+    assert run_all([job()], tmp_path / "runs", Workers(), False, Quiet())[0].done
 
 
 def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_path):
@@ -106,22 +112,22 @@ def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_p
     settings = ("grid.cell=0.25", "explicit.until=6.0", "output.every=0.5", "output.vtk=false")
     code = (
         "import sys; from pathlib import Path; sys.path.insert(0, 'TESTS');"
-        "from test_batch import Quiet; from compare.batch import Job, run_all;"
-        f"run_all([Job('a', 'column_small', {settings!r}, 'explicit')], Path('runs'), 1, False, Quiet())"
+        "from test_batch import Quiet; from compare.batch import Job, Workers, run_all;"
+        f"run_all([Job('a', 'column_small', {settings!r}, 'explicit')], Path('runs'), Workers(), False, Quiet())"
     ).replace("TESTS", os.path.dirname(__file__))
     study = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not (found := list(tmp_path.glob("runs/*/checkpoint.h5"))) and time.monotonic() < deadline:
         time.sleep(0.02)
     with pytest.raises(SceneError, match="another study"):
-        run_all([job()], tmp_path / "runs", 1, False, Quiet())
+        run_all([job()], tmp_path / "runs", Workers(), False, Quiet())
     study.send_signal(signal.SIGINT)
     _, err = study.communicate(timeout=60)
     assert "the same command goes on" in err
     assert not (found[0].parent / "summary.json").exists()
     one = Job("a", "column_small", settings, "explicit")
-    (resumed,) = run_all([one], tmp_path / "runs", 1, False, Quiet())
-    (whole,) = run_all([one], tmp_path / "whole", 1, False, Quiet())
+    (resumed,) = run_all([one], tmp_path / "runs", Workers(), False, Quiet())
+    (whole,) = run_all([one], tmp_path / "whole", Workers(), False, Quiet())
     assert not resumed.reused
     assert resumed.summary["R_995"] == whole.summary["R_995"]
     assert resumed.summary["steps"] == whole.summary["steps"]
@@ -129,11 +135,11 @@ def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_p
 
 
 def test_a_checkpoint_that_cannot_be_read_is_started_anew(tmp_path):
-    (first,) = run_all([job()], tmp_path, 1, False, Quiet())
+    (first,) = run_all([job()], tmp_path, Workers(), False, Quiet())
     for name in ("outcome.json", "summary.json"):
         (first.folder / name).unlink()
     (first.folder / "checkpoint.h5").write_bytes(b"cut short")
-    (again,) = run_all([job()], tmp_path, 1, False, Quiet())
+    (again,) = run_all([job()], tmp_path, Workers(), False, Quiet())
     assert again.done and again.summary["R_995"] == first.summary["R_995"]
 
 
@@ -158,14 +164,14 @@ def test_a_mesh_is_known_by_its_content_and_a_device_by_what_there_is(tmp_path):
 
 def test_a_bad_scene_is_told_before_anything_runs(tmp_path):
     with pytest.raises(SceneError, match="poisson"):
-        run_all([job(), job("b", "material.poisson=2")], tmp_path, 1, False, Quiet())
+        run_all([job(), job("b", "material.poisson=2")], tmp_path, Workers(), False, Quiet())
     assert not list(tmp_path.iterdir())  # nothing was started
 
 
 def test_what_a_solver_would_refuse_is_told_before_anything_runs(tmp_path):
     jobs = [job(), job("b", "explicit.time_step=1.0"), job("c", "explicit.time_step=1.0")]
     with pytest.raises(SceneError) as caught:
-        run_all(jobs, tmp_path, 1, False, Quiet())
+        run_all(jobs, tmp_path, Workers(), False, Quiet())
     assert len(caught.value.problems) == 1 and "Courant limit" in caught.value.problems[0]
     assert not list(tmp_path.iterdir())
 
@@ -175,3 +181,84 @@ def test_the_command_makes_the_same_run():
         "repose run column_small --mode explicit --device cpu --set grid.cell=0.25 --set explicit.until=0.05 "
         "--set output.vtk=false --set explicit.damping=0.4"
     )
+
+
+@needs_mpi
+def test_a_run_on_ranks_is_a_run_of_its_own_with_the_same_result(tmp_path):
+    (alone,) = run_all([job()], tmp_path, Workers(), False, Quiet())
+    (many,) = run_all([job()], tmp_path, Workers(ranks=2), False, Quiet())
+    assert many.done and not many.reused
+    assert many.folder != alone.folder
+    assert (many.summary["ranks"], many.job.ranks) == (2, 2)
+    assert many.summary["R_995"] == pytest.approx(alone.summary["R_995"], rel=1e-9)
+    assert "--ranks 2" in many.job.command
+    log = many.folder.with_name(many.folder.name + ".log").read_text()
+    assert "on 2 ranks" in log and "\x1b" not in log  # a launcher may give ranks a terminal: no bar all the same
+    assert run_all([job()], tmp_path, Workers(ranks=2), False, Quiet())[0].reused
+
+
+def test_a_solver_that_takes_one_rank_has_one_in_a_batch_of_ranks(monkeypatch, tmp_path):
+    monkeypatch.setattr(launch, "ON_RANKS", ("explicit",))
+    started = []
+
+    def stand_in(job, folder, force, lock):
+        started.append((job.name, job.ranks))
+        folder.with_name(folder.name + ".log").touch()
+        return subprocess.Popen(["true"])
+
+    monkeypatch.setattr(batch, "_start", stand_in)
+    monkeypatch.setattr(batch, "runs_of", lambda mode: None)
+    jobs = [Job("i", "column_small", (), "implicit"), job("e")]
+    run_all(jobs, tmp_path, Workers(ranks=3), False, Quiet())
+    assert started == [("i", 1), ("e", 3)]
+    with pytest.raises(SceneError, match="the implicit solver runs on one rank"):
+        run_all(jobs[:1], tmp_path, Workers(ranks=3), False, Quiet())
+
+
+@needs_mpi
+def test_a_run_whose_rank_is_killed_is_a_failed_run(tmp_path):
+    """Its log ends with what the launcher has to say, which is no reason."""
+    long = Job("a", "column_small", ("explicit.until=60.0", "output.every=0.05", "output.vtk=false"), "explicit")
+    killed = []
+
+    class Killer(Quiet):
+        def look(self, job, log):
+            if not killed and list(tmp_path.glob("*/checkpoint.h5")):
+                killed.extend(ranks_below(os.getpid()))
+                os.kill(killed[-1], signal.SIGKILL)
+
+    (dead,) = run_all([long], tmp_path, Workers(ranks=2), False, Killer())
+    assert not dead.done
+    assert dead.reason.startswith("the process died (exit code 137): t = ")
+
+
+@needs_mpi
+def test_ctrl_c_saves_a_run_on_ranks_and_the_same_call_goes_on(tmp_path):
+    settings = ("grid.cell=0.25", "explicit.until=6.0", "output.every=0.5", "output.vtk=false")
+    one = Job("a", "column_small", settings, "explicit")
+
+    class Interrupting(Quiet):
+        def look(self, job, log):
+            if list(tmp_path.glob("*/checkpoint.h5")):
+                raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt, match="the same command goes on"):
+        run_all([one], tmp_path, Workers(ranks=2), False, Interrupting())
+    (folder,) = {path.parent for path in tmp_path.glob("*/checkpoint.h5")}
+    assert not (folder / "summary.json").exists()
+    (resumed,) = run_all([one], tmp_path, Workers(ranks=2), False, Quiet())
+    assert resumed.done and resumed.folder == folder
+    assert resumed.summary["sim_time"] == pytest.approx(6.0)
+
+
+def ranks_below(pid: int) -> list[int]:
+    """Process numbers of the ranks whose launcher is a child of `pid`."""
+    below = {}
+    for path in os.listdir("/proc"):
+        if path.isdecimal():
+            try:
+                with open(f"/proc/{path}/stat") as file:
+                    below.setdefault(int(file.read().rpartition(")")[2].split()[1]), []).append(int(path))
+            except OSError:
+                continue
+    return sorted(rank for launcher in below.get(pid, []) for rank in below.get(launcher, []))
