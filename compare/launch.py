@@ -34,7 +34,7 @@ OPEN_MPI = {
 }
 LEFT_BY_MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 RULE = "-----"  # starts the lines between which a launcher speaks of itself
-STOPPED_EARLY = 128 + signal.SIGUSR1  # exit code where Ctrl-C came before the program could listen to it
+STOPPED_EARLY = (128 + signal.SIGUSR1, -signal.SIGUSR1)  # exit codes where Ctrl-C came before anything listened to it
 
 
 def cores() -> int:
@@ -78,12 +78,12 @@ def refuse_nested(what: str):
 
 
 def start(ranks: int, words: list[str], plain: bool = True, **options) -> subprocess.Popen:
-    """The process of the launcher that starts `python WORDS` on so many ranks.
+    """The process of the launcher that starts `python WORDS` on so many ranks, or on one that of Python itself.
 
     `plain`: print no progress bar. `options`: those of Popen. Raises SceneError where there is no MPI.
     """
     env = _environment(options.pop("env", os.environ)) | ({PLAIN_OUTPUT: "1"} if plain else {})
-    program = [_launcher(), "-n", str(ranks), sys.executable, *words]
+    program = [*((_launcher(), "-n", str(ranks)) if ranks > 1 else ()), sys.executable, *words]
     # In a session of its own: a terminal's Ctrl-C reaches this process alone, which hands it on.
     return subprocess.Popen(program, env=env, start_new_session=True, **options)
 
@@ -114,7 +114,7 @@ def handing_on(process: subprocess.Popen):
 
 def exit_code(code: int) -> int:
     """The exit code of what a launcher has started, from the launcher's own."""
-    return INTERRUPTED if code == STOPPED_EARLY else code
+    return INTERRUPTED if code in STOPPED_EARLY else code
 
 
 def call(ranks: int, function: Callable, *arguments) -> Any:
@@ -207,4 +207,8 @@ def _answer(asked: Path, answer: Path):
 if __name__ == "__main__":
     from compare.cli.ranks import take_part
 
-    take_part(lambda: _answer(*map(Path, sys.argv[1:])))
+    asked, answer = map(Path, sys.argv[1:])
+    if started():
+        take_part(lambda: _answer(asked, answer))
+    else:
+        _answer(asked, answer)

@@ -29,7 +29,8 @@ class Domain(ExplicitSolver):
     """The part of a body that one rank steps; `ids` (n,) are its points' numbers in the whole body."""
 
     def __init__(self, body: Body, device, comm):
-        self.comm, self.whole, self.halo = comm, body, None
+        self.comm, self.whole = comm, body
+        self.halo: Halo | None = None  # until nodes are stored
         self.ids = self.cut_anew(body.x)
         super().__init__(replace(body, x=body.x[self.ids]), device)
 
@@ -114,6 +115,13 @@ class Domain(ExplicitSolver):
             if name in summed:
                 self.halo.add(*(array.numpy() for array in summed[name]))
 
+    def part(self) -> dict[str, int]:
+        """What this rank has: points, nodes stored, those of them that others store too, ranks that do, and nodes whose
+        sums it sends in an exchange."""
+        peers = self.halo.peers
+        counts = {"points": self.points, "nodes": self.grid.stored, "shared": len(self.halo.nodes)}
+        return counts | {"peers": len(peers), "sent": sum(len(at) for _, at in peers)}
+
     def _check(self):
         """Raises on all ranks what the first that has a fault found."""
         for fault in self.comm.allgather(self._fault()):
@@ -154,6 +162,7 @@ ORDERS: dict[str, Callable] = {
     "grid_mass": lambda domain: domain.comm.gather(domain.grid_mass()),
     "ledger": lambda domain: domain.comm.gather(domain.ledger.numpy()),
     "stored": lambda domain: domain.comm.gather(domain.grid.stored),
+    "parts": lambda domain: domain.comm.gather(domain.part()),
 }
 BUILD, DISMISS = "build", "dismiss"
 
@@ -254,6 +263,10 @@ class RankedSolver:
         now = self.ask("advance", until)
         self.nodes_stored_max = max(self.nodes_stored_max, sum(self.ask("stored")))
         return now
+
+    def parts(self) -> list[dict[str, int]]:
+        """What each rank has (see `Domain.part`)."""
+        return self.ask("parts")
 
     def energies(self) -> dict[str, float]:
         """Energies of the whole body (see `ExplicitSolver.energies`), summed in the order of ranks."""

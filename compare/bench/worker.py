@@ -10,8 +10,8 @@ from pathlib import Path
 from statistics import median
 
 BATCHES = 25  # timed ones; their median counts
-# Steps of a batch. On a CPU so many point-steps, but a few steps at least: a tenth of a second or a few.
-POINT_STEPS_CPU, LEAST_STEPS_CPU, STEPS_CUDA = 400_000, 4, 200
+# Steps of a batch. On a CPU so many point-steps, but neither very few nor very many: a tenth of a second or a few.
+POINT_STEPS_CPU, LEAST_STEPS_CPU, MOST_STEPS_CPU, STEPS_CUDA = 400_000, 4, 200, 200
 YARDSTICK_CELLS = 10  # per r0 of a column whose batches are timed in turn with those of the one measured, on a CPU
 PHASE_STEPS = 30
 IMPLICIT_STEPS = 8  # of a collapse, from its start
@@ -90,6 +90,24 @@ def explicit(job: dict) -> dict:
     return answer | {"phases": solver.time_phases(PHASE_STEPS) if job["phases"] else {}}
 
 
+def on_ranks(aspect: float, cells: float, precision: str) -> dict:
+    """A column in motion, at t = sqrt(h0/g), on the ranks that the program was started on: points, and what each rank
+    has of them (see `explicit.ranks.Domain.part`), point-steps/s of the fastest batch and their median."""
+    from explicit.ranks import RankedSolver
+    from explicit.solver import ExplicitSolver
+    from mpm.devices import find_device
+    from mpm.ranks import world
+
+    body, device, comm = column(aspect, cells, precision), find_device("cpu"), world()
+    solver = RankedSolver(body, device, comm) if comm else ExplicitSolver(body, device)
+    solver.set_target(1e9)
+    _set_in_motion(solver)
+    rates = [_rate(solver) for _ in range(BATCHES)]
+    alone = {"points": solver.points, "nodes": solver.grid.stored, "shared": 0, "peers": 0, "sent": 0}
+    parts = solver.parts() if comm else [alone]
+    return {"points": solver.points, "fastest": max(rates), "point_steps_per_s": median(rates), "parts": parts}
+
+
 def _set_in_motion(solver):
     """Step to t = sqrt(h0/g)."""
     while solver.time < solver.body.time_scale:
@@ -98,7 +116,8 @@ def _set_in_motion(solver):
 
 def _rate(solver) -> float:
     """Point-steps per second of one batch."""
-    wanted = STEPS_CUDA if solver.device.is_cuda else max(LEAST_STEPS_CPU, POINT_STEPS_CPU // solver.points)
+    on_cpu = min(max(LEAST_STEPS_CPU, POINT_STEPS_CPU // solver.points), MOST_STEPS_CPU)
+    wanted = STEPS_CUDA if solver.device.is_cuda else on_cpu
     first, start = solver.steps, time.perf_counter()
     while solver.steps < first + wanted:
         solver.advance(solver.time + (first + wanted - solver.steps) * solver.time_step)

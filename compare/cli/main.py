@@ -221,12 +221,18 @@ def bench(
     device: DeviceOption = "cpu",
     precision: Annotated[Precision, typer.Option(help="of the explicit solver")] = Precision.float64,
     cells: Annotated[list[float], typer.Option(metavar="N...", help="cells per r0, in place of the usual sizes")] = [],  # noqa: B006
+    ranks: Annotated[list[int], typer.Option(metavar="N...", help="speed over so many MPI ranks instead")] = [],  # noqa: B006
     directory: OutOption = None,
     force: AgainOption = False,
 ):
     """Speed over size, what a step goes into, memory (three minutes on a CPU; run nothing beside it)."""
     from compare.bench.ladder import bench
+    from compare.bench.scaling import bench_ranks
 
+    if ranks:
+        directory = directory or Path("runs") / f"bench-{mode.value}-ranks-{precision.value}"
+        _report(directory, force, bench_ranks, mode.value, device, precision.value, cells, ranks)
+        return
     directory = directory or Path("runs") / f"bench-{mode.value}-{precision.value}-{device.replace(':', '')}"
     _report(directory, force, bench, mode.value, device, precision.value, cells)
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from compare.experiments import experiments
 from compare.metrics import axis_of, half_length, profile
@@ -154,6 +154,24 @@ def draw_growth(points, ylabel, path) -> Path:
         equal = [seconds[0] * each / count[0] for each in count]
         axes.loglog(count, equal, "--", color=BLACK, lw=0.9, label="same cost per point")
         axes.set(xlabel="points", ylabel=ylabel)
+        axes.margins(0.1)
+        _legend(axes)
+        return save(figure, path)
+
+
+def draw_scaling(curves, path) -> Path:
+    """Speed over one rank's over ranks; `curves`: for each name [(ranks, measured, by the model), ...]."""
+    with styled():
+        figure, axes = _panel(3.6)
+        most = max(ranks for points in curves.values() for ranks, *_ in points)
+        axes.plot([1, most], [1, most], "-", color=BLACK, lw=0.9, label="as many times as ranks")
+        for (name, points), colour in zip(curves.items(), (BLUE, *COLOURS), strict=False):
+            ranks, measured, predicted = zip(*points, strict=True)
+            axes.plot(ranks, measured, "o-", color=colour, label=name)
+            axes.plot(ranks, predicted, ":", color=colour, lw=1.2)
+        axes.plot([], [], ":", color=BLACK, lw=1.2, label="by the model")
+        axes.set(xlabel="MPI ranks", ylabel="speed over one rank's")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.margins(0.1)
         _legend(axes)
         return save(figure, path)

@@ -62,9 +62,9 @@ def write_report(report: dict, directory: Path) -> Path:
     return directory / REPORT_HTML
 
 
-def write_table(rows: list[dict], directory: Path):
-    """Write table.csv into `directory`: a line a row, a column for each key of the first one."""
-    with open(Path(directory) / TABLE, "w", newline="", encoding="utf-8") as file:
+def write_table(rows: list[dict], directory: Path, name: str = TABLE):
+    """Write the file `name` into `directory`: a line a row, a column for each key of the first one."""
+    with open(Path(directory) / name, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, list(rows[0]))
         writer.writeheader()
         writer.writerows(rows)

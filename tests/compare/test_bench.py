@@ -3,14 +3,17 @@
 import csv
 import importlib.util
 import json
+import shutil
 
 import pytest
 from typer.testing import CliRunner
 
+from compare.bench import scaling
 from compare.bench.ladder import FLOOR_BYTES
 from compare.cli.main import app
 from mpm.errors import SceneError
 
+HAS_MPI = importlib.util.find_spec("mpi4py") is not None and shutil.which("mpiexec") is not None
 HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
 
 
@@ -68,12 +71,40 @@ def test_implicit_phases_add_up_to_the_time_taken(tmp_path):
     assert all(seconds > 0 for seconds in phases.values())
 
 
+@pytest.mark.skipif(not HAS_MPI, reason="no mpi4py, or no mpiexec in PATH (see ./repose info)")
+def test_speed_over_ranks_has_its_table_picture_and_predictions(tmp_path, monkeypatch):
+    monkeypatch.setattr(scaling, "ROUNDS", 1)
+    report, rows = bench(tmp_path, "explicit", "--ranks", "2", "--cells", "4")
+    assert [(row["kind"], row["ranks"], row["points"]) for row in rows] == [
+        ("strong", "1", "208"), ("strong", "2", "208"), ("weak", "2", "448"),
+    ]  # fmt: skip
+    one, *two = rows
+    assert (float(one["over_one_rank"]), float(one["efficiency"]), one["shared"]) == (1.0, 1.0, "0")
+    for row in two:
+        over = float(row["point_steps_per_s"]) / float(one["point_steps_per_s"])
+        assert float(row["over_one_rank"]) == pytest.approx(over)
+        assert float(row["efficiency"]) == pytest.approx(over / 2)
+        assert 0 < int(row["shared"]) == int(row["sent"]) <= int(row["nodes"])  # one peer: each goes out once
+        assert all(float(row[name]) > 0 for name in ("latency", "bandwidth", "handling", "packing"))
+    assert report["checks"][0]["limit"] == scaling.AGREES
+    with open(tmp_path / "predicted.csv", newline="", encoding="utf-8") as file:
+        predicted = list(csv.DictReader(file))
+    assert {(row["machine"], row["ranks"]) for row in predicted} == {
+        ("16 cores", "16"), ("4 GPUs", "4"), ("64 hosts of 16 cores", "1024"),
+    }  # fmt: skip
+    assert (tmp_path / "scaling.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "report.html").is_file()
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (("implicit", "--precision", "float32"), "the implicit solver runs on the CPU in float64"),
         (("explicit", "--device", "cuda:7"), "cuda:7"),
         (("explicit", "--cells", "4.3"), "grid.cell"),
+        (("explicit", "--cells", "4.3", "--ranks", "2"), "grid.cell"),
+        (("explicit", "--ranks", "0"), "must be a number of MPI ranks"),
+        (("explicit", "--ranks", "2", "--device", "cuda:0"), "on a GPU"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_before_anything_is_written(tmp_path, arguments, said):
