@@ -239,7 +239,7 @@ class RankedSolver:
         except NumericalError:
             raise
         except BaseException as error:  # the others wait in the middle of the order, for ever
-            print(f"error: rank 0: {error or type(error).__name__}", file=sys.stderr, flush=True)
+            print(f"error: rank 0: {str(error) or type(error).__name__}", file=sys.stderr, flush=True)
             self.comm.Abort(1)
 
     def __getattr__(self, name):

@@ -5,10 +5,13 @@ along z, that hold about as many points each. A rank stores the nodes that its o
 node, both add up what both have of it, in the order of ranks, and so hold the same number to the last bit.
 """
 
+import sys
+import time
 from typing import NamedTuple
 
 import numpy as np
 
+PATIENCE = 30.0  # seconds that a rank waits for others before it says so
 UNEVEN = 1.05  # points of the heaviest rank over the mean, beyond which the plan is cut anew
 
 
@@ -106,10 +109,23 @@ class Halo:
             for array, part in zip(arrays, sent[rank][1], strict=True):
                 np.take(array, at, axis=0, out=part, mode="clip")
             waiting.append(self.comm.Isend(sent[rank][0], rank))
-        type(waiting[0]).Waitall(waiting)
+        self._wait(waiting)
         for k, array in enumerate(arrays):
             parts = {self.comm.rank: own[1][k]} | {rank: received[rank][1][k] for rank, _ in self.peers}
             array[self.nodes] = self._sum(parts)
+
+    def _wait(self, requests):
+        """Wait for messages from the peers, the first of `requests`, and to them; say for which ranks where it takes
+        long: one that was stopped or has lost its host is found by what the others wait for."""
+        since, told, all_done = time.monotonic(), False, type(requests[0]).Testall
+        while not all_done(requests):
+            if not told and time.monotonic() - since > PATIENCE:
+                told = True
+                late = [
+                    str(rank) for (rank, _), request in zip(self.peers, requests, strict=False) if not request.Test()
+                ]
+                whom = f"rank {' and rank '.join(late)}" if late else "its messages to arrive"
+                print(f"rank {self.comm.rank} waits for {whom}, for {PATIENCE:.0f} s now", file=sys.stderr, flush=True)
 
     def _sum(self, parts):
         """Sum of what each rank has of the shared nodes, in the order of ranks."""

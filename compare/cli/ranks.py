@@ -73,5 +73,5 @@ def take_part(main):
     try:
         serve(comm)
     except BaseException as error:
-        print(f"error: rank {comm.rank}: {error or type(error).__name__}", file=sys.stderr, flush=True)
+        print(f"error: rank {comm.rank}: {str(error) or type(error).__name__}", file=sys.stderr, flush=True)
         comm.Abort(1)
