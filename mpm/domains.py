@@ -121,10 +121,9 @@ class Halo:
         while not all_done(requests):
             if not told and time.monotonic() - since > PATIENCE:
                 told = True
-                late = [
-                    str(rank) for (rank, _), request in zip(self.peers, requests, strict=False) if not request.Test()
-                ]
-                whom = f"rank {' and rank '.join(late)}" if late else "its messages to arrive"
+                peers = zip(self.peers, requests, strict=False)
+                late = " and ".join(f"rank {rank}" for (rank, _), request in peers if not request.Test())
+                whom = late or "its messages to arrive"
                 print(f"rank {self.comm.rank} waits for {whom}, for {PATIENCE:.0f} s now", file=sys.stderr, flush=True)
 
     def _sum(self, parts):
