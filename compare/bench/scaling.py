@@ -32,9 +32,10 @@ GPU_RATE, GPU_START = 1.2e9, 95e-6
 def bench_ranks(
     directory: Path, force, _monitor, command: str, mode: str, device: str, precision: str, cells, ranks
 ) -> dict:
-    """Measure the step on one rank and on each number of `ranks`: of the paper's columns, or of the lowest over `cells`.
+    """Measure the step on one rank and on each number of `ranks`: of the paper's columns, or of the lowest over `cells`
+    (per r0); the report (see `compare.report.page`).
 
-    `cells`: per r0. Returns the report (see `compare.report.page`). Raises SceneError for a size that does not fit the column, and where there are no ranks.
+    Raises SceneError for a size that does not fit the column, and where there are no ranks.
     """
     refuse_ranks(mode, device)
     refuse_nested("bench --ranks")
@@ -169,8 +170,8 @@ def _measured_section(rows, here, directory) -> dict:
     """Speed over ranks."""
     table = [
         [row["kind"], f"{row['aspect']:.3g}", row["points"], row["ranks"], row["point_steps_per_s"] / 1e6,
-         row["over_one_rank"], f"{row['efficiency']:.0%}", row["predicted_over_one_rank"], row["heaviest_over_mean"], row["nodes"],
-         row["shared"], len(EXCHANGES) * row["peers"], 8e-3 * sum(EXCHANGES) * row["sent"]]
+         row["over_one_rank"], f"{row['efficiency']:.0%}", row["predicted_over_one_rank"], row["heaviest_over_mean"],
+         row["nodes"], row["shared"], len(EXCHANGES) * row["peers"], 8e-3 * sum(EXCHANGES) * row["sent"]]
         for row in rows
     ]  # fmt: skip
     columns = ["scaling", "lambda0", "points", "ranks", "million point-steps/s", "over one rank", "efficiency",

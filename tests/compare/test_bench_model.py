@@ -14,7 +14,9 @@ from explicit.solver import ExplicitSolver
 from mpm.domains import Halo, cut_plan, owner_of
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 
-TABLE = Path(__file__).parents[2] / "benchmarks" / "results" / "scaling_cpu.csv"
+ROOT = Path(__file__).parents[2]
+TABLE = ROOT / "benchmarks" / "results" / "scaling_cpu.csv"
+PREDICTED = TABLE.with_name("scaling_predicted.csv")
 FREE = Link(0.0, float("inf"))  # carries everything in no time
 
 
@@ -131,3 +133,16 @@ def test_the_committed_measurements_are_near_the_model():
         assert said.rate == pytest.approx(float(row["point_steps_per_s"]), rel=AGREES)
         domain = divide(quarter_column(int(row["points"]), float(row["aspect"])), int(row["ranks"]))
         assert int(row["shared"]) == pytest.approx(domain.shared, rel=AGREES)
+
+
+@pytest.mark.skipif(not PREDICTED.is_file(), reason="the table of predictions is not in this checkout")
+def test_the_page_has_the_committed_predictions():
+    page = (ROOT / "docs" / "speed.md").read_text(encoding="utf-8")
+    with open(PREDICTED, newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 9
+    for row in rows:
+        shares = [f"{float(row[name]):.0%}"[:-1] + " %" for name in ("efficiency", "exchange_share", "agreement_share")]
+        ms, rate = float(row["ms_per_step"]), float(row["million_point_steps_per_s"])
+        cells = [row["machine"], f"10^{len(row['points']) - 1}", f"{ms:,.{0 if ms > 1000 else 1}f}", f"{rate:,.0f}"]
+        assert f"| {' | '.join(cells + shares)} |" in page
