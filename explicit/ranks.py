@@ -23,6 +23,7 @@ from mpm.domains import UNEVEN, Halo, cut_plan, histogram, migrate, owner_of
 from mpm.errors import NumericalError
 from mpm.geostatic import initial_strain
 from mpm.gimp import HALF_LENGTH_IN_CELLS
+from mpm.watch import Look, look
 
 
 class Domain(ExplicitSolver):
@@ -32,6 +33,7 @@ class Domain(ExplicitSolver):
         self.comm, self.whole = comm, body
         self.halo: Halo | None = None  # until nodes are stored
         self.ids = self.cut_anew(body.x)
+        self.theta_start_of_all = initial_strain(body).sum(axis=1)
         super().__init__(replace(body, x=body.x[self.ids]), device)
 
     def columns(self, x) -> np.ndarray:
@@ -81,6 +83,7 @@ class Domain(ExplicitSolver):
     def take(self, rows: dict[str, np.ndarray]):
         """Hold the points of `rows` (see `rows`) in place of those so far."""
         self.ids, self.points = rows["id"], len(rows["id"])
+        self.theta_start = self.theta_start_of_all[self.ids]
         for name in self.held:
             setattr(self, name, wp.array(rows[name], dtype=getattr(self, name).dtype, device=self.device))
         self._pack_points()
@@ -114,6 +117,10 @@ class Domain(ExplicitSolver):
             name = phase.kernel.key.rpartition("__")[2]
             if name in summed:
                 self.halo.add(*(array.numpy() for array in summed[name]))
+
+    def look(self) -> Look:
+        """What a history row says of the whole body's shape and volume; no rank has all of its points."""
+        return look(self.x.numpy(), self.volume_ratio, self.whole, self.ids, self.comm)
 
     def part(self) -> dict[str, int]:
         """What this rank has: points, nodes stored, those of them that others store too, ranks that do, and nodes whose
@@ -158,6 +165,7 @@ ORDERS: dict[str, Callable] = {
     "set_target": lambda domain, target: domain.set_target(target),
     "gathered": _gathered,
     "restore": _restored,
+    "look": lambda domain: domain.look(),
     "energies": lambda domain: domain.comm.gather(domain.energies()),
     "grid_mass": lambda domain: domain.comm.gather(domain.grid_mass()),
     "ledger": lambda domain: domain.comm.gather(domain.ledger.numpy()),
@@ -263,6 +271,10 @@ class RankedSolver:
         now = self.ask("advance", until)
         self.nodes_stored_max = max(self.nodes_stored_max, sum(self.ask("stored")))
         return now
+
+    def look(self) -> Look:
+        """What a history row says of the body's shape and volume."""
+        return self.ask("look")
 
     def parts(self) -> list[dict[str, int]]:
         """What each rank has (see `Domain.part`)."""

@@ -14,8 +14,9 @@ from mpm.provenance import code_version, provenance
 from mpm.ranks import world
 from mpm.results import Results
 from mpm.run import Run, body_of, reopen
-from mpm.runout import REST_WINDOW, front
+from mpm.runout import REST_WINDOW
 from mpm.scene import Scene
+from mpm.watch import Beyond
 
 # Grid kinetic energy below which the body may be at rest: over its peak, or over the energy of the fall M g h0, so that
 # what stands is at rest at once.
@@ -150,9 +151,8 @@ class ExplicitRun(Run):
         energies = self.solver.energies()
         time_now = self.solver.time
         row = {"time": time_now, "step": self.solver.steps, "dt": self.solver.time_step}
-        x = self.x  # on a GPU each look is a copy
-        row |= front(x, self.body.measure) | energies
-        row["volume_ratio"] = float(self.solver.volume_ratio.mean())
+        seen = self.solver.look()
+        row |= seen.front | energies | {"volume_ratio": seen.volume_ratio}
         supplied = self.e0 + max(energies["W_ext"], 0.0)
         row["residual"] = self.e0 + energies["W_ext"] - self._kinetic_and_elastic(energies)
         row["residual"] -= energies["W_plastic"] + energies["W_damping"] + energies["W_decay"]
@@ -163,7 +163,7 @@ class ExplicitRun(Run):
             self.recent.pop(0)
         self.add_row(row)
         self.rows = int(time_now / self.history_every + 1e-9) + 1
-        if wrong := self._diverged(row, x, supplied):
+        if wrong := self._diverged(row, seen.beyond, supplied):
             raise NumericalError(f"diverged at t = {time_now:.6g} s, step {self.solver.steps}: {wrong}")
         return row
 
@@ -182,14 +182,14 @@ class ExplicitRun(Run):
                 "allowed); run it again with a smaller grid.cell, or a smaller explicit.cfl where the body is soft"
             )
 
-    def _diverged(self, row, x, supplied: float) -> str:
+    def _diverged(self, row, beyond: Beyond, supplied: float) -> str:
         """Why what the run has reached can be no result; "" where it may be one."""
         if row["KE_points"] > ENERGY_GROWTH * supplied + 1e-9 * self.fall:
             return (
                 f"kinetic energy {row['KE_points']:.4g} J exceeds what gravity supplied, {supplied:.4g} J; "
                 f"the time step {self.solver.time_step:.3g} s is unstable"
             )
-        return self.misplaced(x, row["volume_ratio"])
+        return self.misplaced(beyond, row["volume_ratio"])
 
     @staticmethod
     def _kinetic_and_elastic(energies) -> float:

@@ -20,6 +20,7 @@ from mpm.body import Body
 from mpm.errors import NumericalError, StepRefused
 from mpm.geostatic import initial_strain
 from mpm.precheck import over_courant
+from mpm.watch import Look, look
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
 # The reference code's 1e-3 m/s is this share of sqrt(g h0) for a column 1 m high.
@@ -355,6 +356,10 @@ class ExplicitSolver:
             "W_plastic": float(ledger[K.WORK_PLASTIC]),
             "W_decay": float(ledger[K.WORK_DECAY]),
         }
+
+    def look(self) -> Look:
+        """What a history row says of the body's shape and volume."""
+        return look(self.x.numpy(), self.volume_ratio, self.body)
 
     def grid_mass(self) -> float:
         """Mass [kg] that the last step put on the grid."""

@@ -17,6 +17,7 @@ from mpm.results import Results
 from mpm.run import Run, body_of, reopen
 from mpm.runout import front
 from mpm.scene import Scene
+from mpm.watch import farthest_beyond
 
 KEPT = "regularisation_"  # before the names of `Regularisation` in a run's provenance
 
@@ -119,7 +120,7 @@ class ImplicitRun(Run):
             self.most_unbalanced = max(self.most_unbalanced, solver.unbalanced_ratio)
         row["volume_ratio"] = float(solver.material_points.jacobian.numpy().mean())
         self.add_row(row)
-        if wrong := self.misplaced(self.x, row["volume_ratio"]):
+        if wrong := self.misplaced(farthest_beyond(self.x, self.body), row["volume_ratio"]):
             raise NumericalError(f"diverged at step {solver.steps}: {wrong}")
         return row
 
@@ -146,7 +147,7 @@ class ImplicitRun(Run):
 
     def state_is_whole(self, _error: NumericalError) -> bool:
         """Points move only once Newton has succeeded; where they ended may be no result."""
-        return not self.misplaced(self.x, self.last_row["volume_ratio"])
+        return not self.misplaced(farthest_beyond(self.x, self.body), self.last_row["volume_ratio"])
 
     def write_grid(self):
         """vtk/background.xdmf: the background mesh and the last step's displacement increment."""

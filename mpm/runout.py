@@ -7,6 +7,8 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from mpm.reductions import largest, quantile
+
 QUANTILE = 0.995
 REST_WINDOW = 2.0  # time in sqrt(h0/g) over which the front's advance tells whether a body is at rest
 
@@ -49,17 +51,17 @@ def connected(x, cell, axis=(0.0, 0.0)):
     return (label == label[centre])[np.ravel(cell_of)]
 
 
-def front(x, measure: Measure) -> dict[str, float]:
+def front(x, measure: Measure, comm=None) -> dict[str, float]:
     """The cheap measures, for every history row: R_max, R_995 [-] and height [m].
 
     R_max: farthest centre plus the point's half-length. R_995: 99.5 % mass quantile of the centres' distance
-    (all points of a scene have the same mass).
+    (all points of a scene have the same mass). `comm`: of the ranks that `x` is spread over, where it is.
     """
     distance = measure.distance(x)
     return {
-        "R_max": measure.runout(distance.max() + measure.half_length),
-        "R_995": measure.runout(np.quantile(distance, QUANTILE)),
-        "height": float(np.max(x[:, 2]) + measure.half_length),
+        "R_max": measure.runout(largest(distance, comm) + measure.half_length),
+        "R_995": measure.runout(quantile(distance, QUANTILE, comm)),
+        "height": largest(x[:, 2], comm) + measure.half_length,
     }
 
 

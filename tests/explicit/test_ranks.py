@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 import repose
+from compare.launch import call
 from mpm.results import CHECKPOINT, Results
 
 if importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None:
@@ -48,9 +49,18 @@ def test_a_run_on_several_ranks_is_the_run_on_one(alone, tmp_path, ranks):
     np.testing.assert_allclose(many["x"], one["x"], rtol=0, atol=1e-12)
     np.testing.assert_allclose(many["tau"], one["tau"], rtol=0, atol=1e-6 * np.abs(one["tau"]).max())
     a, b = (Results.open(folder).history() for folder in (alone, tmp_path / "run"))
-    for name in ("W_ext", "W_damping", "W_plastic", "KE_grid", "KE_points", "E_elastic", "R_995"):
+    for name in ("W_ext", "W_damping", "W_plastic", "KE_grid", "KE_points", "E_elastic", "R_995", "volume_ratio"):
         np.testing.assert_allclose(b[name], a[name], rtol=1e-9, atol=1e-9 * a["W_ext"][-1], err_msg=name)
     assert Results.open(tmp_path / "run").summary()["mass_error"] < 1e-12
+
+
+def test_volume_is_counted_from_a_stressed_start_whatever_ranks_points_go_to(tmp_path):
+    settings = (*SHORT, "--set", "loads.initial_stress=geostatic")
+    for ranks in (1, 3):
+        command("run", "column_small", *settings, "--out", tmp_path / str(ranks), "--ranks", ranks)
+    one, three = (Results.open(tmp_path / name).history()["volume_ratio"] for name in ("1", "3"))
+    assert one[0] == three[0] == 1.0
+    np.testing.assert_allclose(three, one, rtol=1e-9)
 
 
 def test_the_same_ranks_give_the_same_bits(tmp_path):
@@ -121,6 +131,33 @@ def test_bad_input_is_told_once(tmp_path):
     for ranks in ("0", "two", "-1"):
         assert "must be a number" in command("run", "column_small", "--ranks", ranks, code=2)
     assert "implicit" in command("run", "column_small", "--mode", "implicit", "--ranks", 2, code=2)
+
+
+def times_gathered(folder, history_every):
+    """How often a run gathers an array of the whole body, and its history rows."""
+    from compare.solvers import runs_of
+    from explicit.ranks import RankedSolver
+    from mpm.load import load_scene
+
+    ask, gathered = RankedSolver.ask, []
+
+    def counting(solver, order, *arguments):
+        gathered.append(order == "gathered")
+        return ask(solver, order, *arguments)
+
+    RankedSolver.ask = counting
+    output = {"every": 0.1, "history_every": history_every, "vtk": False}
+    scene = load_scene("column_small", sections={"explicit": {"until": 0.1}, "output": output})
+    runs_of("explicit").run(scene, folder)
+    return sum(gathered), len(Results.open(folder).history()["time"])
+
+
+def test_history_rows_gather_nothing(tmp_path, monkeypatch):
+    """Snapshots and checkpoints do: the body need not fit one machine for more than those."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
+    few, many = (call(2, times_gathered, tmp_path / str(every), every) for every in (0.05, 0.005))
+    assert few[1] < 5 < 15 < many[1]
+    assert few[0] == many[0]
 
 
 def running(folder, ranks):
