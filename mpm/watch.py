@@ -31,14 +31,17 @@ def farthest_beyond(x, body: Body, ids=None, comm=None) -> Beyond:
 
     `comm`: of the ranks that the points are spread over, each of which has those of numbers `ids` (n,).
     """
-    walls, at = body.walls, x / body.scene.grid.cell
-    cells = np.maximum(np.array(walls.low) - at, at - np.array(walls.high)).max(axis=1)
+    walls, cell, found = body.walls, body.scene.grid.cell, []
+    # Axis by axis: NumPy takes ten times as long along rows of three.
+    for axis, (low, high) in enumerate(zip(walls.low, walls.high, strict=True) if len(x) else ()):
+        at = x[:, axis]
+        lowest, highest = int(at.argmin()), int(at.argmax())
+        found += [(low - at[lowest] / cell, lowest), (at[highest] / cell - high, highest)]
     if comm is None:
-        point = int(cells.argmax())
-        return Beyond(float(cells[point]), point, x[point])
-    worst = int(cells.argmax()) if len(cells) else None
-    found = comm.allgather(None if worst is None else Beyond(float(cells[worst]), int(ids[worst]), x[worst]))
-    return max((one for one in found if one), key=lambda one: one.cells)
+        cells, point = max(found)
+        return Beyond(float(cells), point, x[point])
+    mine = [Beyond(float(cells), int(ids[point]), x[point]) for cells, point in found]
+    return max((one for theirs in comm.allgather(mine) for one in theirs), key=lambda one: one.cells)
 
 
 def look(x, volume_ratio, body: Body, ids=None, comm=None) -> Look:
