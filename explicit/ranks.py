@@ -122,7 +122,7 @@ class Domain(ExplicitSolver):
         """What a history row says of the whole body's shape and volume; no rank has all of its points."""
         return look(self.x.numpy(), self.volume_ratio, self.whole, self.ids, self.comm)
 
-    def part(self) -> dict[str, int]:
+    def share(self) -> dict[str, int]:
         """What this rank has: points, nodes stored, those of them that others store too, ranks that do, and nodes whose
         sums it sends in an exchange."""
         peers = self.halo.peers
@@ -170,7 +170,7 @@ ORDERS: dict[str, Callable] = {
     "grid_mass": lambda domain: domain.comm.gather(domain.grid_mass()),
     "ledger": lambda domain: domain.comm.gather(domain.ledger.numpy()),
     "stored": lambda domain: domain.comm.gather(domain.grid.stored),
-    "parts": lambda domain: domain.comm.gather(domain.part()),
+    "shares": lambda domain: domain.comm.gather(domain.share()),
 }
 BUILD, DISMISS = "build", "dismiss"
 
@@ -276,9 +276,9 @@ class RankedSolver:
         """What a history row says of the body's shape and volume."""
         return self.ask("look")
 
-    def parts(self) -> list[dict[str, int]]:
-        """What each rank has (see `Domain.part`)."""
-        return self.ask("parts")
+    def shares(self) -> list[dict[str, int]]:
+        """What each rank has (see `Domain.share`)."""
+        return self.ask("shares")
 
     def energies(self) -> dict[str, float]:
         """Energies of the whole body (see `ExplicitSolver.energies`), summed in the order of ranks."""

@@ -115,15 +115,15 @@ class Halo:
             array[self.nodes] = self._sum(parts)
 
     def _wait(self, requests):
-        """Wait for messages from the peers, the first of `requests`, and to them; say for which ranks where it takes
-        long: one that was stopped or has lost its host is found by what the others wait for."""
+        """Wait for messages from each of the peers and then to each; say for which ranks where it takes long: one that
+        was stopped or has lost its host is found by what the others wait for."""
         since, told, all_done = time.monotonic(), False, type(requests[0]).Testall
         while not all_done(requests):
             if not told and time.monotonic() - since > PATIENCE:
                 told = True
-                peers = zip(self.peers, requests, strict=False)
-                late = " and ".join(f"rank {rank}" for (rank, _), request in peers if not request.Test())
-                whom = late or "its messages to arrive"
+                both_ways = zip([*self.peers, *self.peers], requests, strict=True)
+                late = sorted({rank for (rank, _), request in both_ways if not request.Test()})
+                whom = " and ".join(f"rank {rank}" for rank in late) or "messages that have just arrived"
                 print(f"rank {self.comm.rank} waits for {whom}, for {PATIENCE:.0f} s now", file=sys.stderr, flush=True)
 
     def _sum(self, parts):

@@ -92,7 +92,7 @@ def explicit(job: dict) -> dict:
 
 def on_ranks(aspect: float, cells: float, precision: str) -> dict:
     """A column in motion, at t = sqrt(h0/g), on the ranks that the program was started on: points, and what each rank
-    has of them (see `explicit.ranks.Domain.part`), point-steps/s of the fastest batch and their median."""
+    has of them (see `explicit.ranks.Domain.share`), point-steps/s of the fastest batch and their median."""
     from explicit.ranks import RankedSolver
     from explicit.solver import ExplicitSolver
     from mpm.devices import find_device
@@ -104,7 +104,7 @@ def on_ranks(aspect: float, cells: float, precision: str) -> dict:
     _set_in_motion(solver)
     rates = [_rate(solver) for _ in range(BATCHES)]
     alone = {"points": solver.points, "nodes": solver.grid.stored, "shared": 0, "peers": 0, "sent": 0}
-    parts = solver.parts() if comm else [alone]
+    parts = solver.shares() if comm else [alone]
     return {"points": solver.points, "fastest": max(rates), "point_steps_per_s": median(rates), "parts": parts}
 
 
