@@ -75,16 +75,10 @@ class Halo:
     nodes of all ranks count each once.
     """
 
-    def __init__(self, pencils, nodes: int, comm):
-        """`pencils` (m, 5) int, by i, then j: i, j, first k, last k + 1 and number of node `first k` of each pencil
-        stored here; `nodes`: length of node arrays."""
-        self.comm = comm
-        mine = {(i, j): (low, high, start) for i, j, low, high, start in pencils.tolist()}
-        self.peers: list[tuple[int, np.ndarray]] = []
-        for rank, theirs in enumerate(comm.allgather(pencils)):
-            shared = [] if rank == comm.rank else _shared(mine, theirs)
-            if shared:
-                self.peers.append((rank, np.concatenate(shared)))
+    def __init__(self, peers: list[tuple[int, np.ndarray]], nodes: int, comm):
+        """`peers`: the other ranks that share nodes with this one, in order, and the numbers of these nodes here, in an
+        order that both have (see `shared_pencils`, `shared_nodes`); `nodes`: length of node arrays."""
+        self.comm, self.peers = comm, peers
         self.nodes = np.unique(np.concatenate([at for _, at in self.peers])) if self.peers else np.zeros(0, int)
         self.counted = np.ones(nodes, np.int32)
         for rank, at in self.peers:
@@ -92,7 +86,8 @@ class Halo:
                 self.counted[at] = 0
         # Ranks in order, this one among them, with the places of their nodes in `nodes`; None: all of them.
         places = [
-            (rank, None if len(at) == len(self.nodes) else np.searchsorted(self.nodes, at)) for rank, at in self.peers
+            (rank, None if np.array_equal(at, self.nodes) else np.searchsorted(self.nodes, at))
+            for rank, at in self.peers
         ]
         self._order = sorted([*places, (comm.rank, None)], key=lambda item: item[0])
         self._buffers: dict[tuple, tuple] = {}
@@ -159,16 +154,37 @@ class Halo:
         return self._buffers[key]
 
 
-def _shared(mine, theirs):
-    """Numbers, here, of the nodes that this and another rank store, pencil by pencil in the other's order."""
-    shared = []
-    for i, j, low, high, _ in theirs.tolist():
-        if (i, j) in mine:
-            first, last, start = mine[i, j]
-            low, high = max(low, first), min(high, last)
-            if high > low:
-                shared.append(np.arange(low, high) - first + start)
-    return shared
+def shared_pencils(pencils, comm) -> list[tuple[int, np.ndarray]]:
+    """Ranks that store nodes that this one stores too, and their numbers here, pencil by pencil.
+
+    `pencils` (m, 5) int, by i, then j: i, j, first k, last k + 1 and number of node `first k` of each pencil here.
+    """
+    mine = {(i, j): (low, high, start) for i, j, low, high, start in pencils.tolist()}
+
+    def in_common(theirs):
+        shared = [np.zeros(0, int)]
+        for i, j, low, high, _ in theirs.tolist():
+            if (i, j) in mine:
+                first, last, start = mine[i, j]
+                low, high = max(low, first), min(high, last)
+                shared.append(np.arange(low, max(low, high)) - first + start)
+        return np.concatenate(shared)
+
+    return _peers(pencils, in_common, comm)
+
+
+def shared_nodes(keys, comm) -> list[tuple[int, np.ndarray]]:
+    """Ranks that store nodes that this one stores too, and their numbers here, by key.
+
+    `keys` (nodes,) int, each once: what a node is called on every rank.
+    """
+    return _peers(keys, lambda theirs: np.intersect1d(keys, theirs, assume_unique=True, return_indices=True)[1], comm)
+
+
+def _peers(stored, in_common, comm):
+    """The other ranks, and what `in_common` finds in what they have `stored`, where that is anything."""
+    found = ((rank, in_common(theirs)) for rank, theirs in enumerate(comm.allgather(stored)) if rank != comm.rank)
+    return [(rank, nodes) for rank, nodes in found if len(nodes)]
 
 
 def migrate(rows: dict[str, np.ndarray], owner, comm) -> dict[str, np.ndarray]:

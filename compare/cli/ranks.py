@@ -58,7 +58,7 @@ def _start(ranks: int) -> int:
 
 def take_part(main):
     """Call `main` on the first of the ranks and let the others serve it."""
-    from explicit.ranks import dismiss, serve
+    from mpm.parts import abort, dismiss, serve
 
     comm = world()
     if comm.rank == 0:
@@ -73,5 +73,4 @@ def take_part(main):
     try:
         serve(comm)
     except BaseException as error:
-        print(f"error: rank {comm.rank}: {str(error) or type(error).__name__}", file=sys.stderr, flush=True)
-        comm.Abort(1)
+        abort(comm, error)
