@@ -96,8 +96,8 @@ def compare(
     """Both solvers (the explicit one with D = 0.4) on the scene's grid and on a coarser one, against Eq. 4.
 
     `directory`: where runs and report are kept; None: in a temporary folder that goes with the returned object. Runs
-    that are there already are not computed again. `ranks`: as in `run`, of the explicit runs. Raises SceneError as
-    `run`, and where dolfinx is missing.
+    that are there already are not computed again. `ranks`: as in `run`. Raises SceneError as `run`, and where dolfinx
+    is missing.
     """
     from compare.cli.terminal import BatchMonitor
     from compare.comparison import compare_solvers

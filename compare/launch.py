@@ -17,7 +17,7 @@ from typing import Any
 from mpm.errors import INTERRUPTED, SceneError
 from mpm.ranks import started
 
-ON_RANKS = ("explicit",)  # the solvers that run on several ranks, on CPUs
+ON_RANKS = ("explicit", "implicit")  # the solvers that run on several ranks, on CPUs
 PLAIN_OUTPUT = "REPOSE_PLAIN_OUTPUT"  # set for ranks whose output is no terminal: a launcher may give them one
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 # Open MPI 4 and 5 start more ranks than cores, and root's, only when told to. They would bind two runs side by side to

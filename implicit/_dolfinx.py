@@ -7,6 +7,8 @@ from contextlib import contextmanager
 from importlib.util import find_spec
 from inspect import signature
 
+import numpy as np
+
 from mpm.caches import prepare_caches
 from mpm.errors import SceneError
 from mpm.provenance import how_to_get_dolfinx
@@ -55,6 +57,9 @@ try:
     import petsc4py
     import ufl
     from mpi4py import MPI
+
+    # Of all ranks the first alone may import this, and PETSc starts together with the ranks of its communicator.
+    petsc4py.init(comm=MPI.COMM_SELF)
     from petsc4py import PETSc
 
     if PETSc.ScalarType.__name__.startswith("complex"):
@@ -97,8 +102,13 @@ def libraries() -> dict[str, str]:
 
 
 @_quietly()
-def hexahedra(comm, cells, points):
-    """dolfinx mesh of first-order hexahedra `cells` (m, 8) int64, their corners x fastest, on `points` (n, 3) [m]."""
+def hexahedra(comm, cells, points, ghosts=None):
+    """dolfinx mesh of first-order hexahedra `cells` (m, 8) int64, their corners x fastest, on `points` (n, 3) [m].
+
+    Of several ranks each gives the cells that it is to own, at least one (dolfinx waits for ever where a rank has
+    none), which other ranks are to have them as ghosts, `ghosts` (m, ranks) bool, and its share of the points, which
+    are numbered in the order of ranks.
+    """
     if hasattr(dolfinx.fem, "functionspace"):  # from 0.7 on
         from basix.ufl import element
 
@@ -107,7 +117,19 @@ def hexahedra(comm, cells, points):
         domain = ufl.Mesh(ufl.VectorElement("Lagrange", ufl.Cell("hexahedron"), 1))
     # By name: 0.10 exchanged points and domain.
     name = "domain" if "domain" in signature(dolfinx.mesh.create_mesh).parameters else "e"
-    return dolfinx.mesh.create_mesh(comm, cells, **{"x": points, name: domain})
+    given = {"x": points, name: domain}
+    if ghosts is not None:
+        of_cells = _destinations(comm.rank, ghosts)
+        given["partitioner"] = lambda *_: of_cells
+    return dolfinx.mesh.create_mesh(comm, cells, **given)
+
+
+def _destinations(owner, ghosts):
+    """dolfinx's list of the ranks that a cell goes to, its owner first."""
+    rows, columns = np.nonzero(np.insert(ghosts, 0, True, axis=1))
+    ends = np.searchsorted(rows, np.arange(len(ghosts) + 1))
+    ranks = np.where(columns == 0, owner, columns - 1)
+    return dolfinx.cpp.graph.AdjacencyList_int32(ranks.astype(np.int32), ends.astype(np.int32))
 
 
 @_quietly()

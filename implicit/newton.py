@@ -48,41 +48,64 @@ class Tangent:
         y.array[:] += self.system.coupling(x.array_r)
 
 
-class _Context:
-    """A system as SNES sees it; `rows` and `values` are its matrix in compressed rows of single numbers."""
+def matrix_of(system: System):
+    """The assembled rows as PETSc's matrix, on the ranks of the system, and a function that refills it with blocks."""
+    sizes = (3 * system.owned, 3 * system.total)
+    if system.comm.size > 1:
+        pattern = (system.indptr, system.indices)
+        matrix = PETSc.Mat().createBAIJ((sizes, sizes), bsize=3, csr=pattern, comm=system.comm)
+        matrix.setOption(PETSc.Mat.Option.ROW_ORIENTED, False)  # blocks one by one, each by columns
 
-    def __init__(self, system: System):
-        self.system, self.blend = system, 0.0
-        places = np.arange(9 * len(system.indices)).reshape(-1, 3, 3)
-        csr = bsr_matrix((places, system.indices, system.indptr)).tocsr()
-        self.rows, self._order, self.values = (csr.indptr, csr.indices), csr.data, np.zeros(csr.nnz)
+        def refill(blocks):
+            matrix.setValuesBlockedCSR(*pattern, blocks.transpose(0, 2, 1).ravel())
+            matrix.assemble()
+
+        return matrix, refill
+    places = np.arange(9 * len(system.indices)).reshape(-1, 3, 3)
+    csr = bsr_matrix((places, system.indices, system.indptr), shape=sizes).tocsr()
+    order, values = csr.data, np.zeros(csr.nnz)
+    matrix = PETSc.Mat().createAIJWithArrays((sizes, sizes), csr=(csr.indptr, csr.indices, values), comm=system.comm)
+
+    def refill_own(blocks):
+        np.take(blocks.reshape(-1), order, out=values)  # the matrix' own memory
+        matrix.assemble()
+
+    return matrix, refill_own
+
+
+class _Context:
+    """A system as SNES sees it."""
+
+    def __init__(self, system: System, refill):
+        self.system, self.refill, self.blend = system, refill, 0.0
 
     def residual(self, _snes, x, f):
-        f.array[:] = self._at(x.array_r)
+        f.array[:] = self._at(x.array_r).ravel()
 
     def _at(self, u):
-        return self.system.residual(u.reshape(-1, 3)).ravel()
+        return self.system.residual(self.system.kept(u))
+
+    def _norm(self, u):
+        return self.system.norm(self._at(u))
 
     def shorten(self, x, y):
         """Halve the step `y` (x_new = x - y) until the residual falls; SNES' own search then takes it whole.
 
         That search fits a cubic to the norm, which has kinks: it cuts to a tenth where a half would do.
         """
-        start, u, step = np.linalg.norm(self._at(x.array_r)), x.array_r.copy(), y.array_r.copy()
+        start, u, step = self._norm(x.array_r), x.array_r.copy(), y.array_r.copy()
         length = 1.0
         while length > SHORTEST:
-            if np.linalg.norm(self._at(u - length * step)) < (1.0 - DECREASE * length) * start:
+            if self._norm(u - length * step) < (1.0 - DECREASE * length) * start:
                 break
             length *= 0.5
         y.scale(length)
         return length < 1.0
 
-    def tangent(self, _snes, x, operator, matrix):
+    def tangent(self, _snes, x, operator, _matrix):
         s = self.system
-        values = s.tangent(x.array_r.reshape(-1, 3), self.blend)
+        self.refill(s.tangent(s.kept(x.array_r), self.blend))
         self.blend = 0.1 * self.blend if self.blend > RESCUES[1] / 100 else 0.0
-        np.take(values.reshape(-1), self._order, out=self.values)  # the matrix' own memory
-        matrix.assemble()
         operator.assemble()
 
 
@@ -92,14 +115,12 @@ def solve(system: System, tolerance: float, linear_tolerance: float) -> NewtonRe
     `linear_tolerance` [-]: relative residual of the linear solves. Not converged where the line search finds no
     descent, or not within 25 iterations.
     """
-    comm, size = PETSc.COMM_SELF, 3 * system.count
-    context = _Context(system)
-    pattern = (*context.rows, context.values)
-    matrix = PETSc.Mat().createAIJWithArrays(size=((size, size), (size, size)), csr=pattern, comm=comm)
-    operator = PETSc.Mat().createPython(((size, size), (size, size)), Tangent(system, matrix), comm=comm)
+    matrix, refill = matrix_of(system)
+    context = _Context(system, refill)
+    operator = PETSc.Mat().createPython(matrix.getSizes(), Tangent(system, matrix), comm=system.comm)
     operator.setUp()
     x, f = matrix.createVecs()
-    snes = PETSc.SNES().create(comm)
+    snes = PETSc.SNES().create(system.comm)
     try:
         snes.setFunction(context.residual, f)
         snes.setJacobian(context.tangent, operator, matrix)
@@ -117,6 +138,8 @@ def _configure(snes, linear_tolerance):
     snes.setOptionsPrefix("repose_")
     options["repose_snes_linesearch_type"] = "bt"
     options["repose_snes_linesearch_minlambda"] = SHORTEST
+    options["repose_sub_pc_type"] = "ilu"  # of each rank's rows, where there are several
+    options["repose_sub_pc_factor_levels"] = 1
     ksp = snes.getKSP()
     ksp.setType("gmres")
     ksp.setGMRESRestart(150)
@@ -127,6 +150,21 @@ def _configure(snes, linear_tolerance):
     snes.setFromOptions()
 
 
+def _precondition(pc, kind):
+    """Set one of PRECONDITIONERS. On several ranks sweeps go over the rows of each, and ILU(1) is made of them."""
+    if pc.comm.size == 1:
+        pc.setType(kind)
+        if kind == "ilu":
+            pc.setFactorLevels(1)  # ILU(0) diverges on these matrices
+    elif kind == "ilu":
+        pc.setType("asm")
+        pc.setASMOverlap(1)
+    else:
+        pc.setType(kind)
+        if kind == "lu":
+            pc.setFactorSolverType("mumps")
+
+
 def _solve(snes, context, x, tolerance) -> NewtonResult:
     reasons = PETSc.SNES.ConvergedReason
     iterations = linear_iterations = 0
@@ -135,9 +173,7 @@ def _solve(snes, context, x, tolerance) -> NewtonResult:
     x.set(0.0)
     while stages:
         context.blend, preconditioner = stages.pop(0)
-        snes.getKSP().getPC().setType(preconditioner)
-        if preconditioner == "ilu":
-            snes.getKSP().getPC().setFactorLevels(1)  # ILU(0) diverges on these matrices
+        _precondition(snes.getKSP().getPC(), preconditioner)
         snes.setTolerances(rtol=0.0, atol=tolerance, stol=0.0, max_it=MOST_ITERATIONS - iterations)
         snes.setConvergenceHistory(MOST_ITERATIONS + 1, reset=True)
         snes.solve(None, x)
@@ -154,5 +190,5 @@ def _solve(snes, context, x, tolerance) -> NewtonResult:
             break
         if iterations >= MOST_ITERATIONS:
             break
-    u = x.array.reshape(-1, 3).copy()
+    u = context.system.kept(x.array).copy()
     return NewtonResult(u, reason > 0, iterations, linear_iterations, residuals, preconditioner)

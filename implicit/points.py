@@ -48,6 +48,14 @@ class Points:
         self.theta.numpy()[:] = volumetric
         self.mean.numpy()[:] = bulk * volumetric
 
+    def take(self, rows: dict[str, np.ndarray]):
+        """Hold the points of `rows`, an array for each of SAVED that the material has, in place of those so far."""
+        for name in self.SAVED:
+            if name in rows:
+                setattr(self, name, wp.array(rows[name], dtype=getattr(self, name).dtype, device="cpu"))
+        self.count = len(self.x)
+        self.load = wp.zeros(self.count, dtype=vec3, device="cpu")
+
     def state(self) -> dict[str, np.ndarray]:
         """What a restart needs, as copies."""
         return {name: getattr(self, name).numpy().copy() for name in self.SAVED}

@@ -13,6 +13,7 @@ from mpm.body import Body, build
 from mpm.devices import start_warp
 from mpm.errors import NumericalError, SceneError
 from mpm.provenance import code_version, provenance
+from mpm.ranks import world
 from mpm.results import Results
 from mpm.run import Run, body_of, reopen
 from mpm.runout import front
@@ -34,7 +35,7 @@ def run(
     started = time.perf_counter()
     _start(device)
     body = build(scene)
-    solver = ImplicitSolver(body, regularisation)  # before the folder: it refuses some scenes
+    solver = _solver(body, regularisation)  # before the folder: it refuses some scenes
     described = provenance(ImplicitRun.device, ImplicitRun.precision)
     described |= libraries() | {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
     described |= {KEPT + name: value for name, value in asdict(regularisation).items()}
@@ -55,7 +56,7 @@ def resume(directory, device=None, monitor=None) -> dict:
     kept = {name: value for name, value in results.provenance.items() if name.startswith(KEPT)}
     regularisation = Regularisation(**{name.removeprefix(KEPT): value for name, value in kept.items()})
     body = body_of(results)
-    this = ImplicitRun(body, results, ImplicitSolver(body, regularisation))
+    this = ImplicitRun(body, results, _solver(body, regularisation))
     this.restore(results.read_checkpoint())
     return this.go(started, monitor)
 
@@ -65,6 +66,15 @@ def _start(device: str):
     if device != ImplicitRun.device:
         raise SceneError(f"--device {device}: the implicit solver runs on the CPU")
     start_warp()
+
+
+def _solver(body: Body, regularisation: Regularisation):
+    """The solver on the ranks that the program was started on. Raises SceneError for a scene that it cannot run."""
+    if (comm := world()) is None:
+        return ImplicitSolver(body, regularisation)
+    from implicit.ranks import RankedSolver
+
+    return RankedSolver(body, regularisation, comm)
 
 
 class ImplicitRun(Run):
@@ -151,9 +161,7 @@ class ImplicitRun(Run):
 
     def write_grid(self):
         """vtk/background.xdmf: the background mesh and the last step's displacement increment."""
-        system = self.solver.system
-        path = self.results.directory / "vtk" / "background.xdmf"
-        self.solver.background.write(path, system.dofs, system.u.numpy())
+        self.solver.write_grid(self.results.directory / "vtk" / "background.xdmf")
 
     def figures(self) -> dict:
         """What the implicit solver adds to the summary."""

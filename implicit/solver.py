@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from implicit._dolfinx import MPI
 from implicit.kernels.layout import LAW
 from implicit.mesh import BackgroundMesh
 from implicit.newton import solve
@@ -9,9 +10,11 @@ from implicit.points import Basis, Points
 from implicit.pseudo_time import Regularisation, StepLength
 from implicit.system import System
 from mpm.body import Body
+from mpm.domains import Cut
 from mpm.errors import NumericalError
 from mpm.geostatic import geostatic_strain
 from mpm.precheck import refuse
+from mpm.reductions import quantile
 
 MOVED_QUANTILE = 0.98  # of the points' displacement in a step: single grains in the air do not shorten it
 # Residual over weight at which a step is solved: a hundredth of what it starts from, within these bounds. What is
@@ -33,9 +36,11 @@ class ImplicitSolver:
     `unbalanced_ratio`: norm of the out-of-balance over that of the external nodal forces.
     """
 
+    ids: np.ndarray | None = None  # numbers of the points in the whole body, where these are a part of it
+    cut: Cut | int = 0  # of the plan
     COUNTERS = ("time", "steps", "failed_steps", "newton_iterations", "linear_iterations", "load_share")
 
-    def __init__(self, body: Body, regularisation: Regularisation = Regularisation()):
+    def __init__(self, body: Body, regularisation: Regularisation = Regularisation(), comm=MPI.COMM_SELF):
         """Raises SceneError for a scene that the implicit solver cannot run."""
         scene = body.scene
         refuse(body, "implicit")
@@ -46,7 +51,7 @@ class ImplicitSolver:
         self.material_points = Points(body)
         self.material = LAW.pack(body.constants)
         self.weights = Basis(self.points)
-        self.background = BackgroundMesh(self.cell, body.walls)
+        self.background = BackgroundMesh(self.cell, body.walls, comm)
         self.length = StepLength(regularisation, self.cell, self.gravity)
         self.time, self.steps, self.failed_steps = 0.0, 0, 0
         self.newton_iterations = self.linear_iterations = 0
@@ -55,11 +60,11 @@ class ImplicitSolver:
         self.nodes_solved_max = 0
         self.load_share = 0.0
         if scene.loads.initial_stress != "none":
-            self.material_points.strain(geostatic_strain(body), body.constants.bulk)
+            self.material_points.strain(self._geostatic_strain(), body.constants.bulk)
             self.load_share = 1.0
         self._pull()
         self.system = self._new_system()
-        self.nodes_solved_start = self.system.count
+        self.nodes_solved_start = self.system.total
 
     @property
     def time_step(self) -> float:
@@ -71,6 +76,9 @@ class ImplicitSolver:
         """Positions (n, 3) [m] of the points."""
         return self.material_points.x.numpy()
 
+    def _geostatic_strain(self) -> np.ndarray:
+        return geostatic_strain(self.body)
+
     def _pull(self):
         """External force of the points at the present share of gravity."""
         self.material_points.load.numpy()[:] = [0.0, 0.0, -self.load_share * self.gravity * self.material_points.mass]
@@ -78,9 +86,9 @@ class ImplicitSolver:
     def _new_system(self) -> System:
         """Where the points are now: basis, mesh, unknowns, sparsity."""
         self.weights.evaluate(self.material_points.x, self.cell)
-        self.background.follow(self.weights.base.numpy())
+        self.background.follow(self.weights.base.numpy(), self.cut)
         system = System(self.material_points, self.weights, self.background, self.material)
-        self.nodes_solved_max = max(self.nodes_solved_max, system.count)
+        self.nodes_solved_max = max(self.nodes_solved_max, system.total)
         return system
 
     def advance_to(self, time: float):
@@ -103,11 +111,11 @@ class ImplicitSolver:
     def _collapse_step(self):
         """Balance gravity, internal forces and drag over `time_step`."""
         self.system = system = self._new_system()
-        weight = float(np.linalg.norm(system.load))
+        weight = system.norm(system.load)
         wanted = self.length.dt
         while True:
             system.set_regularisation(**self.regularisation.of_step(self.body, self.length.dt))
-            start = float(np.linalg.norm(system.residual(np.zeros((system.count, 3)))))
+            start = system.norm(system.residual(np.zeros((system.count, 3))))
             tolerance = max(TIGHTEST * weight, min(REDUCTION * start, LOOSEST * weight))
             outcome = self._solve(tolerance, LINEAR_TOLERANCE)
             if outcome.converged:
@@ -118,8 +126,9 @@ class ImplicitSolver:
                 raise NumericalError(self._stuck(f"at the smallest step, {tried:.3g} s", weight))
         self.time += self.length.dt
         self._accept(outcome.u)
-        moved = float(np.quantile(np.linalg.norm(self.material_points.moved.numpy(), axis=1), MOVED_QUANTILE))
-        self.length.accepted(moved, outcome.iterations)
+        moved, comm = np.linalg.norm(self.material_points.moved.numpy(), axis=1), self.background.comm
+        most = quantile(moved, MOVED_QUANTILE, comm if comm.size > 1 else None)
+        self.length.accepted(most, outcome.iterations)
 
     def _load_step(self, wanted: float):
         """Add the share `wanted` of gravity in static equilibrium, in smaller parts where Newton needs them."""
@@ -131,7 +140,7 @@ class ImplicitSolver:
             self.load_share = min(before + part, end)
             self._pull()
             self.system = self._new_system()
-            weight = float(np.linalg.norm(self.system.load))
+            weight = self.system.norm(self.system.load)
             self.system.set_regularisation(ghost=STATIC_GHOST * self.body.constants.shear * self.cell)
             outcome = self._solve(STATIC_TOLERANCE * weight, STATIC_LINEAR_TOLERANCE)
             if outcome.converged:
@@ -151,18 +160,20 @@ class ImplicitSolver:
         return outcome
 
     def _accept(self, u):
-        self.system.residual(u)
-        self.unbalanced_ratio = float(np.linalg.norm(self.system.unbalanced) / np.linalg.norm(self.system.load))
-        self.system.commit(u)
+        system = self.system
+        system.residual(u)
+        self.unbalanced_ratio = system.norm(system.unbalanced) / system.norm(system.load)
+        system.commit(u)
+
+    def write_grid(self, path):
+        """The background mesh and the last step's displacement increment [m] as XDMF, for ParaView."""
+        self.background.write(path, self.system.dofs, self.system.u.numpy())
 
     def _stuck(self, where: str, weight: float) -> str:
         """Newton's failure in words: how far it came, and the point whose node is farthest from balance."""
-        system = self.system
-        residual = np.linalg.norm(system.residual(np.zeros((system.count, 3))), axis=1)
-        worst = int(np.argmax(residual))
-        point = int(np.argmax((system.nodes.numpy() == worst).any(axis=1)))
         reached = min(self.residuals) / weight if self.residuals else float("nan")
-        at = np.array2string(self.x[point], precision=4)
+        point, x = self._farthest_from_balance()
+        at = np.array2string(x, precision=4)
         return (
             f"Newton failed {where}, pseudo-time {self.time:.6g} s, step {self.steps + 1}: residual {reached:.2g} of "
             f"the weight after {len(self.residuals) - 1} iterations, largest near point {point}, x = {at} m; "
@@ -172,6 +183,13 @@ class ImplicitSolver:
                 else "a smaller grid.cell may follow it"
             )
         )
+
+    def _farthest_from_balance(self) -> tuple[int, np.ndarray]:
+        """Number and position of the first point, of those on all ranks, that sees the node farthest from balance."""
+        found = self.system.points_at_the_worst_node()[:1]
+        numbers = found if self.ids is None else self.ids[found]
+        there = self.background.comm.allgather((numbers.tolist(), self.x[found]))
+        return min((number[0], x[0]) for number, x in there if number)
 
     def state(self) -> dict:
         """Everything a restart needs; `restore` takes it back to the bit."""

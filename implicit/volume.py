@@ -12,10 +12,12 @@ import numpy as np
 import warp as wp
 from scipy.sparse import csr_matrix
 
+from implicit._dolfinx import MPI
 from implicit.kernels import basis, points
 from implicit.kernels.layout import mat33, real, vec3
 from implicit.kernels.nodes import apply_node_law, node_slopes
 from implicit.points import Basis, Points
+from mpm.domains import Halo
 
 SMALLEST_STRETCH = 0.05  # det F of a point in one step, below which an increment is refused
 # Share of K with which a point follows its own volume strain in the assembled rows, the preconditioner: a node averages
@@ -31,16 +33,17 @@ class Volume:
     that nodes have in the tangent [-].
     """
 
-    def __init__(self, state: Points, weights: Basis, seen: wp.array, seen_count: int, nodes: wp.array, held, material):
-        """`seen`, `nodes` (points, 27): numbers of all `seen_count` nodes of the stencils, and of those solved for;
-        `held` (solved,) vec3: 1 for components that walls hold."""
+    def __init__(self, state: Points, weights: Basis, seen: wp.array, halo: Halo, nodes: wp.array, held, material):
+        """`seen`, `nodes` (points, 27): numbers of all nodes of the stencils, which `halo` shares with other ranks, and
+        of those solved for; `held` (solved,) vec3: 1 for components that walls hold."""
         self.state, self.weights, self.material, self._nodes, self._held = state, weights, material, nodes, held
+        self._halo, seen_count = halo, len(halo.counted)
         self._start = np.zeros(state.count + 1, np.int32)  # of a point's entries in the sparse matrices
         np.cumsum(weights.reach.numpy().prod(axis=1), out=self._start[1:])
         self._rows = wp.array(self._start[:-1], dtype=wp.int32, device="cpu")
         self._average = self._by_rows(seen, seen_count)
         self._gather = self._average.T
-        self._weight_sum = self._gather @ np.ones(state.count)
+        self._weight_sum = self._sums(np.ones(state.count))
         self.deformation, self.volumetric = (self._zeros(state.count, mat33) for _ in range(2))
         self._det, self.nodal, self.gap, self.closed, self.filled = (self._zeros(state.count, real) for _ in range(5))
         self._theta, self._stress, self._opened, self.slope = (self._zeros(seen_count, real) for _ in range(4))
@@ -58,9 +61,15 @@ class Volume:
         wp.launch(basis.weights_by_rows, self.state.count, inputs=[nodes, w.reach, w.weight, *outputs], device="cpu")
         return csr_matrix((value.numpy(), column.numpy(), self._start), shape=(self.state.count, count))
 
+    def _sums(self, field):
+        """sum N field of the nodes, over the points of all ranks."""
+        sums = self._gather @ field
+        self._halo.add(sums)
+        return sums
+
     def _at_nodes(self, field):
         """sum N field/sum N of the nodes."""
-        return (self._gather @ field) / self._weight_sum
+        return self._sums(field) / self._weight_sum
 
     def deform(self, u: wp.array) -> bool:
         """Take the increment `u`; False where a point collapses."""
@@ -68,7 +77,7 @@ class Volume:
         seen = [u, self._nodes, w.reach, w.weight, w.slope, self.deformation, self._det]
         wp.launch(points.deform, self.state.count, inputs=seen, device="cpu")
         det = self._det.numpy()
-        if not det.min() > SMALLEST_STRETCH:
+        if not self._halo.comm.allreduce(det.min(initial=np.inf) > SMALLEST_STRETCH, MPI.LAND):
             return False
         self.dilated = self._average @ self._at_nodes(np.log(det))
         self._theta.numpy()[:] = self._at_nodes(self.state.theta.numpy() + self.dilated)

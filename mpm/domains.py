@@ -104,22 +104,11 @@ class Halo:
             for array, part in zip(arrays, sent[rank][1], strict=True):
                 np.take(array, at, axis=0, out=part, mode="clip")
             waiting.append(self.comm.Isend(sent[rank][0], rank))
-        self._wait(waiting)
+        ranks = [rank for rank, _ in self.peers]
+        _wait(waiting, [*ranks, *ranks], self.comm)
         for k, array in enumerate(arrays):
             parts = {self.comm.rank: own[1][k]} | {rank: received[rank][1][k] for rank, _ in self.peers}
             array[self.nodes] = self._sum(parts)
-
-    def _wait(self, requests):
-        """Wait for messages from each of the peers and then to each; say for which ranks where it takes long: one that
-        was stopped or has lost its host is found by what the others wait for."""
-        since, told, all_done = time.monotonic(), False, type(requests[0]).Testall
-        while not all_done(requests):
-            if not told and time.monotonic() - since > PATIENCE:
-                told = True
-                both_ways = zip([*self.peers, *self.peers], requests, strict=True)
-                late = sorted({rank for (rank, _), request in both_ways if not request.Test()})
-                whom = " and ".join(f"rank {rank}" for rank in late) or "messages that have just arrived"
-                print(f"rank {self.comm.rank} waits for {whom}, for {PATIENCE:.0f} s now", file=sys.stderr, flush=True)
 
     def _sum(self, parts):
         """Sum of what each rank has of the shared nodes, in the order of ranks."""
@@ -152,6 +141,48 @@ class Halo:
             sent, received = ({rank: room(len(at)) for rank, at in self.peers} for _ in range(2))
             self._buffers[key] = room(len(self.nodes)), sent, received
         return self._buffers[key]
+
+
+class Ownership:
+    """Exchange between ranks that own entries of an array (nodes, blocks of a matrix) and those that have parts or
+    copies of them."""
+
+    def __init__(self, mine, theirs, comm):
+        """`mine`: other ranks, in order, and the numbers here of what this one owns and they have too; `theirs`: ranks
+        and the numbers here of what they own. Both ranks of a pair have these in the same order."""
+        self.comm = comm
+        self.mine, self.theirs = ([(rank, at) for rank, at in side if len(at)] for side in (mine, theirs))
+
+    def collect(self, array):
+        """Add to what this rank owns of `array` (n, ...) what others have of it, in the order of ranks."""
+        for at, part in self._exchanged(array, self.theirs, self.mine):
+            array[at] += part
+
+    def spread(self, array):
+        """Give others what this rank owns of `array` (n, ...), and take what they own."""
+        for at, part in self._exchanged(array, self.mine, self.theirs):
+            array[at] = part
+
+    def _exchanged(self, array, sent, received):
+        parts = [(at, np.empty((len(at), *array.shape[1:]), array.dtype)) for _, at in received]
+        waiting = [self.comm.Irecv(part, rank) for (rank, _), (_, part) in zip(received, parts, strict=True)]
+        leaving = [(rank, np.take(array, at, axis=0)) for rank, at in sent]
+        waiting += [self.comm.Isend(part, rank) for rank, part in leaving]
+        if waiting:
+            _wait(waiting, [rank for rank, _ in [*received, *sent]], self.comm)
+        return parts
+
+
+def _wait(requests, ranks, comm):
+    """Wait for messages from or to `ranks`, one a request; say for which ranks where it takes long: one that was
+    stopped or has lost its host is found by what the others wait for."""
+    since, told, all_done = time.monotonic(), False, type(requests[0]).Testall
+    while not all_done(requests):
+        if not told and time.monotonic() - since > PATIENCE:
+            told = True
+            late = sorted({rank for rank, request in zip(ranks, requests, strict=True) if not request.Test()})
+            whom = " and ".join(f"rank {rank}" for rank in late) or "messages that have just arrived"
+            print(f"rank {comm.rank} waits for {whom}, for {PATIENCE:.0f} s now", file=sys.stderr, flush=True)
 
 
 def shared_pencils(pencils, comm) -> list[tuple[int, np.ndarray]]:

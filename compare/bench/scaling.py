@@ -13,6 +13,7 @@ from compare.launch import call, count_of, refuse_nested, refuse_ranks, start
 from compare.plots.reports import draw_scaling
 from compare.report.page import refuse_another, write_table
 from compare.report.sections import check, figure, verdict
+from mpm.errors import SceneError
 from mpm.provenance import provenance
 
 COLUMNS = ((0.5, 20), (1.0, 20), (2.0, 20))  # aspect ratio and cells per r0 of the paper's columns
@@ -37,6 +38,8 @@ def bench_ranks(
 
     Raises SceneError for a size that does not fit the column, and where there are no ranks.
     """
+    if mode != "explicit":
+        raise SceneError("bench --ranks measures the explicit solver; benchmarks/implicit_ranks.py the implicit one")
     refuse_ranks(mode, device)
     refuse_nested("bench --ranks")
     counts = sorted({1, *map(count_of, ranks)})

@@ -60,7 +60,7 @@ SetOption = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help
 DeviceOption = Annotated[str, typer.Option(help="cpu or cuda:0, cuda:1, ...")]
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR")]
 AgainOption = Annotated[bool, typer.Option("--force", help="run again what is there, replace another report in DIR")]
-RanksOption = Annotated[str, typer.Option("--ranks", metavar="N|all", help="MPI ranks; all: one a core (explicit)")]
+RanksOption = Annotated[str, typer.Option("--ranks", metavar="N|all", help="MPI ranks; all: one a core")]
 JobsOption = Annotated[int | None, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
 DirArg = Annotated[Path, typer.Argument(metavar="DIR", help="folder of a run")]
 

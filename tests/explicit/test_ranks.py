@@ -130,7 +130,6 @@ def test_bad_input_is_told_once(tmp_path):
     assert command("run", "column_small", "--set", "grid.cell=-1", "--ranks", 2, code=2).count("error:") == 1
     for ranks in ("0", "two", "-1"):
         assert "must be a number" in command("run", "column_small", "--ranks", ranks, code=2)
-    assert "implicit" in command("run", "column_small", "--mode", "implicit", "--ranks", 2, code=2)
 
 
 def times_gathered(folder, history_every):

@@ -104,7 +104,8 @@ class Installed:
     def exec_module(self, module):
         scalar = SimpleNamespace(__name__="complex128" if shown == "complex" else "float64")
         module.__version__ = {"dolfinx": shown, "petsc4py": "3.24.0"}.get(module.__name__, "1.0")
-        module.MPI, module.PETSc = None, SimpleNamespace(ScalarType=scalar)
+        module.MPI, module.PETSc = SimpleNamespace(COMM_SELF=None), SimpleNamespace(ScalarType=scalar)
+        module.init = lambda comm: None
 
 sys.meta_path.insert(0, Installed())
 set_flags = sys.setdlopenflags

@@ -50,7 +50,7 @@ def test_the_condition_number_stays_bounded_as_material_moves_over_the_grid():
 def test_a_linear_motion_is_not_resisted():
     """u = A x has no jump of its gradient: the springs exert no force, and a kink they do resist."""
     system = system_of(1e-2, ghost=1.0, drag=0.0)
-    x = system._at.astype(float)
+    x = system.place_in_lattice.astype(float)
     gradient = np.random.default_rng(0).normal(size=(3, 3)) * 1e-6
 
     def pull(u):

@@ -109,7 +109,7 @@ def test_elastic_stiffness_is_that_of_dolfinx():
     assert np.abs(ours - theirs).max() < 1e-12 * np.abs(theirs).max()
     assert np.linalg.matrix_rank(ours, tol=1e-9 * np.abs(ours).max()) == len(ours) - 6  # the six rigid motions
 
-    x = CELL * (system._at + background.corner)
+    x = CELL * (system.place_in_lattice + background.corner)
     uniform = (x @ np.random.default_rng(0).normal(size=(3, 3))).ravel()
     force = pointwise[rows][:, rows] @ uniform
     assert np.abs(ours @ uniform - force).max() < 1e-12 * np.abs(force).max()

@@ -54,7 +54,7 @@ class Case:
         self.system.set_regularisation(**(regularised or {}))
         self.u = u * cell * rng.normal(size=(self.system.count, 3))
         self.direction = rng.normal(size=self.u.shape)
-        self.places = cell * (self.system._at + background.corner)  # of the nodes [m]
+        self.places = cell * (self.system.place_in_lattice + background.corner)  # of the nodes [m]
         self.u[self.system.held] = self.direction[self.system.held] = 0.0
 
     def blocks(self):
