@@ -1,10 +1,10 @@
 """Linear solvers on tangents of a collapse: iterations, set-up and solve seconds, true residual; one row each.
 
-    python benchmarks/implicit_linear.py SCENE [--set KEY=VALUE ...] [--steps N] [--table FILE]
+    [mpiexec -n N] python benchmarks/implicit_linear.py SCENE [--set KEY=VALUE ...] [--steps N] [--table FILE]
 
 Marches N steps, takes the tangent at the last increment, and solves for it with each solver in turn: GMRES(150),
 right preconditioning, relative tolerance 1e-3, at most 600 iterations. The operator is the exact tangent; the
-preconditioners are made of its block rows.
+preconditioners are made of its block rows. Seconds are CPU time, of the rank that took longest.
 """
 
 import argparse
@@ -12,8 +12,12 @@ import csv
 import time
 from pathlib import Path
 
-from implicit._dolfinx import PETSc
+import numpy as np
+
+from implicit._dolfinx import MPI, PETSc
 from implicit.newton import Tangent
+from implicit.pseudo_time import Regularisation
+from implicit.ranks import Domain
 from implicit.solver import ImplicitSolver
 from mpm.body import build
 from mpm.devices import start_warp
@@ -32,31 +36,53 @@ SOLVERS = {
     "BoomerAMG": ("aij", "hypre", {"pc_hypre_type": "boomeramg"}),
     "MUMPS": ("aij", "lu", {"pc_factor_mat_solver_type": "mumps"}),
 }
+SWEEPS, ILU1 = {"sub_pc_type": "sor"}, {"sub_pc_type": "ilu", "sub_pc_factor_levels": 1}
+RIGID = "GAMG, rigid-body modes"  # as its near-nullspace
+SOLVERS_ON_RANKS = {
+    "SOR in each rank's rows": ("baij", "sor", {}),
+    "additive Schwarz, SOR": ("baij", "asm", SWEEPS),
+    "block Jacobi, ILU(1)": ("baij", "bjacobi", ILU1),
+    "additive Schwarz, ILU(1)": ("baij", "asm", ILU1),
+    "GAMG, block size 3": ("aij", "gamg", {}),
+    RIGID: ("aij", "gamg", {}),
+    "BoomerAMG": ("aij", "hypre", {"pc_hypre_type": "boomeramg"}),
+    "MUMPS": ("aij", "lu", {"pc_factor_mat_solver_type": "mumps"}),
+}
 
 
 def tangent_of(solver):
     """Block rows (3x3) and right-hand side of the last step at half its increment, where Newton is at work."""
     system = solver.system
     u = 0.5 * system.u.numpy().copy()
-    values, size = system.tangent(u), 3 * system.count
+    values, sizes = system.tangent(u), (3 * system.owned, 3 * system.total)
     pattern = (system.indptr, system.indices, values.reshape(-1).copy())
-    matrix = PETSc.Mat().createBAIJ(((size, size), (size, size)), bsize=3, csr=pattern, comm=PETSc.COMM_SELF)
+    matrix = PETSc.Mat().createBAIJ((sizes, sizes), bsize=3, csr=pattern, comm=system.comm)
     right = matrix.createVecLeft()
     right.array[:] = -system.residual(u).ravel()
     return matrix, right
 
 
-def solve(system, matrix, right, kind, preconditioner, options, number):
+def rigid_body_modes(system, matrix):
+    """Translations and rotations of the nodes."""
+    places = matrix.createVecRight()
+    places.setBlockSize(3)
+    places.array[:] = system.place_in_lattice[: system.owned].ravel()
+    return PETSc.NullSpace().createRigidBody(places)
+
+
+def solve(system, matrix, right, name, kind, preconditioner, options, number):
     """Set-up seconds, solve seconds, iterations and the true relative residual."""
     if kind != "baij":
         matrix = matrix.convert(kind, PETSc.Mat())
         matrix.setBlockSize(3)
+    if name == RIGID:
+        matrix.setNearNullSpace(rigid_body_modes(system, matrix))
     prefix = f"linear{number}_"
     for key, value in options.items():
         PETSc.Options()[prefix + key] = value
-    krylov = PETSc.KSP().create(PETSc.COMM_SELF)
+    krylov = PETSc.KSP().create(system.comm)
     krylov.setOptionsPrefix(prefix)
-    operator = PETSc.Mat().createPython(matrix.getSizes(), Tangent(system, matrix), comm=PETSc.COMM_SELF)
+    operator = PETSc.Mat().createPython(matrix.getSizes(), Tangent(system, matrix), comm=system.comm)
     operator.setUp()
     krylov.setOperators(operator, matrix)
     krylov.setType("gmres")
@@ -66,13 +92,14 @@ def solve(system, matrix, right, kind, preconditioner, options, number):
     krylov.setTolerances(rtol=1e-3, max_it=600)
     krylov.setFromOptions()
     x = matrix.createVecRight()
-    start = time.perf_counter()
+    start = time.process_time()
     krylov.setUp()
-    ready = time.perf_counter()
+    ready = time.process_time()
     krylov.solve(right, x)
-    done = time.perf_counter()
+    done = time.process_time()
     true = (right - operator * x).norm() / right.norm()
-    result = ready - start, done - ready, krylov.getIterationNumber(), true
+    setup, spent = np.max(system.comm.allgather((ready - start, done - ready)), axis=0)
+    result = setup, spent, krylov.getIterationNumber(), true
     krylov.destroy()
     operator.destroy()
     return result
@@ -83,23 +110,26 @@ def main():
     parser.add_argument("scene")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--steps", type=int, default=12)
-    parser.add_argument("--table", type=Path, default=Path("benchmarks/results/implicit_linear_cpu.csv"))
+    parser.add_argument("--table", type=Path, default=Path("benchmarks/results/implicit_linear_ranks_cpu.csv"))
     options = parser.parse_args()
     start_warp()
-    solver = ImplicitSolver(build(load_scene(options.scene, options.set)))
+    comm, body = MPI.COMM_WORLD, build(load_scene(options.scene, options.set))
+    several = comm.size > 1
+    solver = Domain(body, Regularisation(), comm) if several else ImplicitSolver(body)
     for _ in range(options.steps):
         solver.advance()
     matrix, right = tangent_of(solver)
     described = provenance("cpu", "float64")
     rows = []
-    for number, (name, (kind, preconditioner, more)) in enumerate(SOLVERS.items()):
-        setup, spent, iterations, true = solve(solver.system, matrix, right, kind, preconditioner, more, number)
+    for number, (name, kind) in enumerate((SOLVERS_ON_RANKS if several else SOLVERS).items()):
+        setup, spent, iterations, true = solve(solver.system, matrix, right, name, *kind, number)
         rows.append(
             {
                 "scene": options.scene,
                 "set": " ".join(options.set),
+                "ranks": comm.size,
                 "unknowns": matrix.getSize()[0],
-                "blocks": len(solver.system.indices),
+                "blocks": comm.allreduce(len(solver.system.indices)),
                 "solver": name,
                 "setup_s": f"{setup:.3f}",
                 "solve_s": f"{spent:.3f}",
@@ -109,7 +139,10 @@ def main():
                 "commit": described["commit"],
             }
         )
-        print(rows[-1], flush=True)
+        if comm.rank == 0:
+            print(rows[-1], flush=True)
+    if comm.rank:
+        return
     fresh = not options.table.exists()
     options.table.parent.mkdir(parents=True, exist_ok=True)
     with open(options.table, "a", newline="") as file:
