@@ -1,0 +1,71 @@
+"""Ensembles: intervals against tables of Student's t and SciPy's tests, and when a claim holds."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from compare.batch import Job
+from compare.ensembles import Estimate, difference, ensemble, estimate, relative, run_ensembles, within
+from mpm.errors import SceneError
+
+FIVE, FOUR = (0.61, 0.60, 0.62, 0.59, 0.63), (0.50, 0.54, 0.51, 0.53)
+
+
+def test_mean_error_and_interval_by_hand():
+    """Standard deviation sqrt(0.001/4) = 0.01581, over sqrt(5): 0.007071; t of four degrees at 95 % is 2.776."""
+    found = estimate(FIVE)
+    assert (found.mean, found.n) == (pytest.approx(0.61), 5)
+    assert found.standard_error == pytest.approx(0.0070711, abs=1e-7)
+    assert found.half == pytest.approx(2.776 * 0.0070711, rel=1e-3)
+    assert (found.low, found.high) == stats.t.interval(0.95, 4, loc=found.mean, scale=found.standard_error)
+    assert found.said() == "0.610 ± 0.020"
+    assert found.over(0.5).said("+.1%") == "+22.0% ± 3.9%"
+
+
+def test_failed_runs_are_left_out_and_one_run_has_no_interval():
+    assert estimate([0.2, None, math.nan, 0.4]).n == 2
+    one = estimate([0.3, None])
+    assert math.isnan(one.standard_error) and one.half == math.inf and one.said() == "0.300"
+    assert within(one, -math.inf, math.inf) is None
+    assert estimate([None]) is None
+
+
+def test_a_difference_is_welchs():
+    a, b = estimate(FIVE), estimate(FOUR)
+    found = difference(a, b)
+    against = stats.ttest_ind(FIVE, FOUR, equal_var=False)
+    assert found.mean / found.standard_error == pytest.approx(against.statistic)
+    assert 2 * stats.t.sf(abs(against.statistic), found.freedom) == pytest.approx(against.pvalue)
+    assert difference(estimate([1.0, 1.0]), estimate([3.0, 3.0])).half == 0.0
+    assert difference(a, estimate([0.3])).half == math.inf
+
+
+def test_the_interval_of_a_ratio_covers_the_ratio_as_often_as_it_says():
+    """1,000 pairs of ensembles of 5, whose means are 0.33 and 0.30: 95 % of the intervals cover 0.1, within 2 %."""
+    draw = np.random.default_rng(1)
+    throws = zip(draw.normal(0.33, 0.004, (1000, 5)), draw.normal(0.30, 0.004, (1000, 5)), strict=True)
+    found = [relative(estimate(a), estimate(b)) for a, b in throws]
+    assert np.mean([one.low <= 0.1 <= one.high for one in found]) == pytest.approx(0.95, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("mean", "holds"),
+    [(0.05, True), (-0.05, True), (0.09, None), (0.11, None), (0.13, False), (-0.13, False)],
+)
+def test_a_claim_holds_when_its_whole_interval_does(mean, holds):
+    """Half of the interval is 4.303 x 0.005 = 0.0215, the limits are -0.1 and 0.1."""
+    assert within(Estimate(mean, 0.005, 2.0, 3), -0.1, 0.1) is holds
+
+
+def test_realisations_are_one_job_from_several_random_starts():
+    jobs = ensemble(Job("D0.4-0.5", "column_small", ("grid.cell=0.25",), "explicit"), 3)
+    assert [one.name for one in jobs] == ["D0.4-0.5-r0", "D0.4-0.5-r1", "D0.4-0.5-r2"]
+    assert [(one.scene.grid.scatter, one.scene.grid.realisation) for one in jobs] == [(0.5, 0), (0.5, 1), (0.5, 2)]
+    assert len({one.key for one in jobs}) == 3
+
+
+def test_one_realisation_is_refused(tmp_path):
+    with pytest.raises(SceneError, match="realisations 1: must be >= 2"):
+        run_ensembles([], 1, tmp_path, 1, False, None)
