@@ -1,12 +1,16 @@
-"""What a measure tends to as the cell shrinks: Richardson extrapolation from three grids."""
+"""What a measure tends to as the cell shrinks: Richardson extrapolation from three grids, or from ensembles on them."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import brentq
 
+from compare.ensembles import CONFIDENCE, Estimate, difference
+
 ORDERS = (0.4, 6.0)  # outside them a fitted order says that the grids are too coarse, not how the error falls
 FARTHEST = 0.2  # of the finest value: a limit farther off is a guess
+DRAWS = 1000  # of the ensembles' means, for the interval of their limit
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,65 @@ def richardson(h, f) -> Limit:
     if abs(value - f3) > FARTHEST * abs(f3):
         return _no_limit(f"the limit that the trend points to is more than {FARTHEST:.0%} from the finest grid's value")
     return Limit(float(value), float(order), True, "")
+
+
+@dataclass(frozen=True)
+class EnsembleLimit:
+    """Limit `value` of ensembles for a vanishing cell, its interval `low` to `high` (unit of the measure), and why.
+
+    `order` of the error; NaN where no change with the grid shows (`said` tells) or where there is no limit: then
+    `value`, `low` and `high` are NaN too.
+    """
+
+    value: float
+    low: float
+    high: float
+    order: float
+    said: str
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a limit."""
+        return bool(np.isfinite(self.value))
+
+
+def ensemble_limit(h, ensembles: list[Estimate]) -> EnsembleLimit:
+    """Limit of `ensembles` (n,) on grids of size `h` (n,) from the finest three, by Richardson's extrapolation.
+
+    Its interval comes from 1,000 draws of the three means, each from its own t distribution: it is given where at least
+    95 % of the draws have a limit (see `richardson`). Where neither refinement changes the mean beyond its interval
+    there is no error of the grid to extrapolate: the limit is then the finest ensemble. Otherwise it is not converged.
+    Raises ValueError as `richardson` does.
+    """
+    found = richardson(h, [one.mean for one in ensembles])  # also checks h
+    h = np.asarray(h, float)
+    finest = np.argsort(h)[:3]
+    three = [ensembles[index] for index in finest]
+    if any(one.n < 2 for one in three):
+        return _no_ensemble_limit("not converged: an ensemble of the three finest grids has fewer than two runs")
+    changes = [difference(fine, coarse) for fine, coarse in pairwise(three)]
+    if all(one.low <= 0.0 <= one.high for one in changes):
+        known = three[0]
+        said = f"no change with the grid beyond the intervals of the three finest; the finest: {known.said('.4f')}"
+        return EnsembleLimit(known.mean, known.low, known.high, float("nan"), said)
+    if not found.converged:
+        return _no_ensemble_limit(f"not converged: {found.reason}")
+    draw = np.random.default_rng(0)
+    means = np.transpose([one.mean + one.standard_error * draw.standard_t(one.freedom, DRAWS) for one in three])
+    limits = [one.value for one in (richardson(h[finest], row) for row in means) if one.converged]
+    if len(limits) < CONFIDENCE * DRAWS:
+        share = len(limits) / DRAWS
+        said = (
+            f"not converged: within the intervals of the three finest grids only {share:.0%} of the draws have a limit"
+        )
+        return _no_ensemble_limit(said)
+    low, high = np.quantile(limits, [(1.0 - CONFIDENCE) / 2, (1.0 + CONFIDENCE) / 2])
+    said = f"tends to {found.value:.4f} ({low:.4f} to {high:.4f}) with order {found.order:.2f}"
+    return EnsembleLimit(found.value, float(low), float(high), found.order, said)
+
+
+def _no_ensemble_limit(said):
+    return EnsembleLimit(*[float("nan")] * 4, said)
 
 
 def _no_limit(reason):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from compare.convergence import richardson
+from compare.convergence import ensemble_limit, richardson
+from compare.ensembles import Estimate
 
 HALVED = (0.2, 0.1, 0.05)
 UNEVEN = (1 / 8, 1 / 10, 1 / 16)  # as of 8, 10 and 16 cells across a radius
@@ -83,3 +84,37 @@ def test_a_law_without_a_limit_or_too_slow_for_one_is_not_settling(h, law):
 def test_grids_that_allow_no_extrapolation_are_refused(h, f):
     with pytest.raises(ValueError, match="grid sizes"):
         richardson(h, f)
+
+
+def ensembles(means, error, n=5):
+    return [Estimate(mean, error, n - 1.0, n) for mean in means]
+
+
+def test_the_limit_of_ensembles_has_the_spread_of_the_extrapolation():
+    """Order 1 held by means whose errors are small: value = f3 - (f2 - f3) for a ratio of 2, of which the order's own
+    uncertainty is left: to first order d(value) = d(f1) - 4 d(f2) + 4 d(f3), sqrt(33) times the error of one."""
+    found = ensemble_limit(HALVED, ensembles((0.9, 0.8, 0.75), 1e-4))
+    assert found.known and (found.value, found.order) == (pytest.approx(0.7), pytest.approx(1.0))
+    half = 2.776 * np.sqrt(33) * 1e-4  # as wide as t's; a sum of three t's is a little narrower
+    assert found.low < 0.7 < found.high
+    assert found.high - found.low == pytest.approx(2 * half, rel=0.15)
+
+
+def test_what_does_not_change_with_the_grid_beyond_its_interval_is_its_finest_ensemble():
+    found = ensemble_limit(HALVED, ensembles((0.702, 0.701, 0.7005), 0.005))
+    assert found.known and found.value == 0.7005 and np.isnan(found.order)
+    assert found.high - found.value == pytest.approx(2.776 * 0.005, rel=1e-3)
+    assert "no change with the grid" in found.said
+
+
+@pytest.mark.parametrize(
+    ("means", "error", "n", "words"),
+    [
+        ((0.7, 0.8, 0.75), 1e-4, 5, "not converged: the value goes up with one refinement"),
+        ((0.9, 0.8, 0.75), 0.01, 5, "of the draws have a limit"),  # the last change is of the size of its interval
+        ((0.9, 0.8, 0.75), float("nan"), 1, "fewer than two runs"),
+    ],
+)
+def test_ensembles_without_a_limit_say_why(means, error, n, words):
+    found = ensemble_limit(HALVED, ensembles(means, error, n))
+    assert not found.known and words in found.said
