@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
-from compare.batch import Job, Outcome, run_all
+from compare.batch import Job, Outcome, Workers, run_all
 from mpm.errors import SceneError
 
 SCATTER = 0.5  # share of their spacing within which points start at random places
@@ -123,7 +123,7 @@ def ensemble(job: Job, realisations: int) -> list[Job]:
 
 
 def run_ensembles(
-    jobs: list[Job], realisations: int, directory: Path, workers: int, force: bool, monitor
+    jobs: list[Job], realisations: int, directory: Path, workers: Workers, force: bool, monitor
 ) -> list[list[Outcome]]:
     """Run or reuse so many realisations of each job (see `compare.batch.run_all`); the outcomes of each.
 

@@ -41,6 +41,7 @@ class Precision(StrEnum):
 
 
 DEMO = ("column_sand", [])  # scene and settings
+SIDE_BY_SIDE = 8  # runs of a study that times none, where the cores hold them; more would crowd a GPU
 
 study = typer.Typer(help="Many runs and a report of them; what is finished is kept.", no_args_is_help=True)
 app.add_typer(study, name="study")
@@ -62,6 +63,9 @@ OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR")]
 AgainOption = Annotated[bool, typer.Option("--force", help="run again what is there, replace another report in DIR")]
 RanksOption = Annotated[str, typer.Option("--ranks", metavar="N|all", help="MPI ranks; all: one a core")]
 JobsOption = Annotated[int | None, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
+RealisationsOption = Annotated[
+    int | None, typer.Option(help="runs of each case, from points that start at random; at least 2")
+]
 DirArg = Annotated[Path, typer.Argument(metavar="DIR", help="folder of a run")]
 
 
@@ -187,18 +191,23 @@ def study_error(
 def study_paper(
     lambda0: Annotated[list[float], typer.Option(metavar="N...", help="aspect ratios h0/r0")] = [0.5, 1, 2, 4],  # noqa: B006
     damping: Annotated[list[float], typer.Option(metavar="N...", help="local damping D")] = [0, 0.05, 0.1, 0.2, 0.4],  # noqa: B006
-    quick: Annotated[bool, typer.Option("--quick", help="8 cells per r0 instead of the paper's 20")] = False,
+    realisations: RealisationsOption = None,
+    quick: Annotated[bool, typer.Option("--quick", help="5 cells per r0 instead of 20, 3 realisations not 5")] = False,
     device: DeviceOption = "cpu",
     directory: OutOption = None,
     jobs: JobsOption = None,
     force: AgainOption = False,
     ranks: RanksOption = "1",
 ):
-    """The paper's runs beside theory, experiments and the implicit solver."""
-    from compare.studies.paper import study_paper
+    """The paper remade, figure by figure: claims, ensembles of its runs, theory, experiments, the implicit solver."""
+    from compare.ensembles import QUICK_REALISATIONS, REALISATIONS
+    from compare.studies.paper.study import study_paper
 
     directory = directory or Path("runs") / f"paper{'-quick' if quick else ''}"
-    _report(directory, force, study_paper, lambda0, damping, quick, device, _workers(jobs, ranks))
+    if realisations is None:
+        realisations = QUICK_REALISATIONS if quick else REALISATIONS
+    workers = _workers(jobs, ranks, SIDE_BY_SIDE)
+    _report(directory, force, study_paper, lambda0, damping, realisations, quick, device, workers)
 
 
 @study.command("stability")
@@ -294,13 +303,13 @@ def _announced(reference: str, settings: list[str]):
     return scene
 
 
-def _workers(jobs: int | None, ranks: str):
+def _workers(jobs: int | None, ranks: str, usual: int = 1):
     """How many runs of a study go at a time, and on how many ranks each (see `runs_at_a_time`)."""
     from compare.batch import Workers
     from compare.launch import count_of
 
     count = count_of(ranks)
-    return Workers(runs_at_a_time(jobs, count), count)
+    return Workers(runs_at_a_time(jobs, count, usual), count)
 
 
 def _follow(folder: Path, solve, *arguments):

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from compare.experiments import experiments
 from compare.metrics import axis_of, half_length, profile
 from compare.plots.style import (
     BLACK,
@@ -24,7 +23,7 @@ from compare.plots.style import (
     save,
     styled,
 )
-from mpm.theory import EQ2_SWITCH, eq2, eq4, eq6, eq6_printed, eq45, has_eq4, quasistatic_profile, tan_phi, theory
+from mpm.theory import has_eq4, quasistatic_profile, tan_phi, theory
 
 WIDTH = 5.2  # inches: a page 400 pixels wide then still shows 10 points as 10 pixels
 LONG_LABEL = 26  # letters of a label, of which two do not fit beside each other
@@ -35,7 +34,7 @@ SOLVER = {"implicit": (BLUE, "o", "-"), "explicit": (ORANGE, "s", "--")}  # colo
 def draw_profiles(outcomes, labels, path) -> Path:
     """Mean thickness over the radius of each run's last snapshot, over Eq. 4's solid. Columns of one scene only."""
     with styled():
-        figure, axes = _panel(3.6)
+        figure, axes = panel(3.6)
         scene = outcomes[0].results.scene
         radius, height = scene.geometry.radius, scene.geometry.height
         farthest = radius
@@ -52,7 +51,7 @@ def draw_profiles(outcomes, labels, path) -> Path:
             axes.fill_between(fine, solid, color=BLACK, alpha=0.08, linewidth=0)
             axes.plot(fine, solid, color=BLACK, linewidth=1.0, label=EQ4_LABEL)
         axes.set(xlim=(0, farthest), ylim=(0, None), xlabel="radius r [m]", ylabel="mean thickness [m]")
-        _legend(axes)
+        legend(axes)
         return save(figure, path)
 
 
@@ -115,8 +114,8 @@ def draw_histories(outcomes, labels, time_scale, path) -> Path:
             run_out.axhline(limit, color=BLACK, linewidth=1.0, label=EQ4_LABEL)
         run_out.set(ylabel="run-out R_995 [-]")
         unrest.set(xlabel="(pseudo-)time / sqrt(h0/g) [-]", ylabel="unrest [-]", ylim=(1e-6, None))
-        _legend(run_out)
-        _legend(unrest)
+        legend(run_out)
+        legend(unrest)
         return save(figure, path)
 
 
@@ -126,7 +125,7 @@ def draw_cost(points, path, ylabel) -> Path:
     One line a solver's label; the Pareto front of all points is ringed: none of the others is both faster and closer.
     """
     with styled():
-        figure, axes = _panel(4.0)
+        figure, axes = panel(4.0)
         for number, label in enumerate(dict.fromkeys(row["label"] for row in points)):
             rows = sorted((row for row in points if row["label"] == label), key=lambda row: row["seconds"])
             colour, marker, style = SOLVER[rows[0]["solver"]]
@@ -140,29 +139,29 @@ def draw_cost(points, path, ylabel) -> Path:
         axes.loglog(*ringed, "o", ms=13, mfc="none", mec=BLACK, mew=0.8, label="Pareto front")
         axes.set(xlabel="time stepping, wall time [s]", ylabel=ylabel)
         axes.margins(0.12)
-        _plain_numbers(axes.xaxis, axes.yaxis)
-        _legend(axes)
+        plain_numbers(axes.xaxis, axes.yaxis)
+        legend(axes)
         return save(figure, path)
 
 
 def draw_growth(points, ylabel, path) -> Path:
     """Seconds over points, (points, seconds) each, beside the line along which a point costs what it costs at first."""
     with styled():
-        figure, axes = _panel(3.6)
+        figure, axes = panel(3.6)
         count, seconds = zip(*points, strict=True)
         axes.loglog(count, seconds, "o-", color=BLUE, label="measured")
         equal = [seconds[0] * each / count[0] for each in count]
         axes.loglog(count, equal, "--", color=BLACK, lw=0.9, label="same cost per point")
         axes.set(xlabel="points", ylabel=ylabel)
         axes.margins(0.1)
-        _legend(axes)
+        legend(axes)
         return save(figure, path)
 
 
 def draw_scaling(curves, path) -> Path:
     """Speed over one rank's over ranks; `curves`: for each name [(ranks, measured, by the model), ...]."""
     with styled():
-        figure, axes = _panel(3.6)
+        figure, axes = panel(3.6)
         most = max(ranks for points in curves.values() for ranks, *_ in points)
         axes.plot([1, most], [1, most], "-", color=BLACK, lw=0.9, label="as many times as ranks")
         for (name, points), colour in zip(curves.items(), (BLUE, *COLOURS), strict=False):
@@ -173,7 +172,7 @@ def draw_scaling(curves, path) -> Path:
         axes.set(xlabel="MPI ranks", ylabel="speed over one rank's")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.margins(0.1)
-        _legend(axes)
+        legend(axes)
         return save(figure, path)
 
 
@@ -190,7 +189,7 @@ def pareto_front(points) -> list[dict]:
 def draw_stiffness(rows, crossover, path) -> Path:
     """Wall time over Young's modulus of both solvers; `rows` have solver, young [Pa] and seconds."""
     with styled():
-        figure, axes = _panel(3.6)
+        figure, axes = panel(3.6)
         for solver, (colour, marker, style) in SOLVER.items():
             mine = sorted((row for row in rows if row["solver"] == solver), key=lambda row: row["young"])
             stiffness = np.array([row["young"] for row in mine]) / 1e6
@@ -202,56 +201,26 @@ def draw_stiffness(rows, crossover, path) -> Path:
         if crossover:
             axes.axvline(crossover / 1e6, color=GREEN, linewidth=1.0, label=f"as fast at {crossover / 1e6:.3g} MPa")
         axes.set(xlabel="Young's modulus E [MPa]", ylabel="time stepping, wall time [s]")
-        _plain_numbers(axes.xaxis, axes.yaxis)
-        _legend(axes)
+        plain_numbers(axes.xaxis, axes.yaxis)
+        legend(axes)
         return save(figure, path)
 
 
-def draw_run_outs(rows, tangent, path, measure) -> Path:
-    """Run-out over aspect ratio as in Fig. 10 and A1: experiments, Eq. 2, 4, 4 with 5, both forms of Eq. 6, runs.
-
-    `rows`: lambda0, label and the run-out `measure` ("R_max", "R_995"); a line a label.
-    """
-    with styled():
-        figure, axes = _panel(4.6)
-        known = experiments()
-        ratios = [row["lambda0"] for row in rows]
-        fine = np.geomspace(min([*ratios, *known[:, 0]]) * 0.9, max([*ratios, *known[:, 0]]) * 1.1, 400)
-        axes.loglog(*known.T, "x", color=BLACK, ms=5, label="experiments (digitised)")
-        axes.loglog(fine, eq4(fine, tangent), color=BLACK, lw=1.2, label="Eq. 4")
-        axes.loglog(fine, eq45(fine, tangent), "--", color=BLACK, lw=1.2, label="Eq. 5 in Eq. 4")
-        axes.loglog(
-            fine, np.where(fine < EQ2_SWITCH, eq2(fine, tangent), np.nan), ":", color=BLACK, lw=1.0, label="Eq. 2"
-        )
-        axes.loglog(fine, np.where(fine < EQ2_SWITCH, np.nan, eq2(fine, tangent)), ":", color=BLACK, lw=1.0)
-        axes.loglog(fine, eq6(fine), "-.", color=RED, lw=1.0, label="Eq. 6, exchanged")
-        axes.loglog(fine, eq6_printed(fine), ":", color=RED, lw=1.0, label="Eq. 6, as printed")
-        for number, label in enumerate(dict.fromkeys(row["label"] for row in rows)):
-            mine = sorted((row for row in rows if row["label"] == label), key=lambda row: row["lambda0"])
-            marker, colour = ("D", BLUE) if label == "implicit" else ("o", COLOURS[number % len(COLOURS)])
-            values = [[row[key] for row in mine] for key in ("lambda0", measure)]
-            axes.loglog(*values, marker, ms=6, color=colour, label=label)
-        axes.set(xlabel="aspect ratio h0/r0 [-]", ylabel=f"run-out {measure} [-]")
-        _plain_numbers(axes.xaxis, axes.yaxis)
-        _legend(axes)
-        return save(figure, path)
-
-
-def _panel(height):
+def panel(height):
     """A figure with one panel; room for the legend above it is made when it is drawn."""
     figure = new_figure(WIDTH, height)
     figure.set_layout_engine("constrained")
     return figure, figure.subplots()
 
 
-def _legend(axes):
+def legend(axes):
     """The legend above the panel, where it hides nothing: in two columns where its labels leave room for that."""
     columns = 1 if max(map(len, axes.get_legend_handles_labels()[1]), default=0) > LONG_LABEL else 2
     place = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "ncols": columns}
     axes.legend(frameon=False, columnspacing=1.2, borderpad=0.2, **place)
 
 
-def _plain_numbers(*axes):
+def plain_numbers(*axes):
     """Label logarithmic axes with 0.5, 1, 2 and so on instead of powers of ten."""
     for axis in axes:
         low, high = axis.get_view_interval()

@@ -19,7 +19,6 @@ from compare.plots.reports import pareto_front
 from compare.report.page import refuse_another
 from compare.report.sections import check, soil_section, verdict
 from compare.studies import error as study_error
-from compare.studies import paper as study_paper
 from compare.studies.error import _crossover, _limit
 from explicit.run import REST_KE, REST_KE_OF_FALL
 from mpm.body import build
@@ -273,35 +272,6 @@ def test_a_grid_that_does_not_fit_twice_the_cell_is_compared_alone():
         *("implicit", "explicit", "implicit-coarse", "explicit-coarse")
     ]
     assert [one.name for one in plan("column_small", ["grid.cell=0.2"], "cpu")] == ["implicit", "explicit"]
-
-
-def test_study_paper_judges_the_papers_claims(tmp_path, monkeypatch):
-    """Four cells per r0: a collapse to rest in a second, too coarse to agree with anything, and it says so."""
-    monkeypatch.setattr(study_paper, "QUICK_CELLS", 4)
-    monkeypatch.setattr(study_paper, "QUICK_IMPLICIT_CELLS", 3)
-    folder = tmp_path / "out"
-    asked = ("study", "paper", "--quick", "--lambda0", "0.5", "1", "--damping", "0.05", "0.4", "--out", folder)
-    assert repose(*asked) == 0
-    report = json.loads((folder / "report.json").read_text())
-    assert [(row["lambda0"], row["label"]) for row in report["rows"]] == [
-        *(
-            (0.5, "D = 0.05"),
-            (0.5, "D = 0.4"),
-            (1.0, "D = 0.05"),
-            (1.0, "D = 0.4"),
-            (0.5, "implicit"),
-            (1.0, "implicit"),
-        )
-    ]
-    names = [one["name"] for one in report["checks"]]
-    for ratio in ("0.5", "1"):
-        assert f"D = 0.4 ends near Eq. 4 at lambda0 = {ratio}" in names
-        assert f"D = 0.05 ends near the experiments at lambda0 = {ratio}" in names
-        assert f"run-out falls with D at lambda0 = {ratio}" in names
-    assert "The misprint of Eq. 6" in [section["title"] for section in report["sections"]]
-    page = text_of((folder / "report.html").read_text(encoding="utf-8"))
-    assert report["verdict"]["sentence"] in page
-    assert len(rows_of(folder)) == 6
 
 
 def test_study_error_has_a_point_for_every_resolution_precision_step_and_stiffness(tmp_path, monkeypatch):
