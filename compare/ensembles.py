@@ -110,6 +110,19 @@ def within(value: Estimate | None, low: float, high: float) -> bool | None:
     return False if value.high < low or value.low > high else None
 
 
+def flat(row: dict, measures: tuple[str, ...]) -> dict:
+    """A row for a table, of which `measures` are an `Estimate` or None: KEY its mean, KEY_half half of the interval,
+    KEY_n the number of runs."""
+    cells = {}
+    for key, value in row.items():
+        if key in measures:
+            known = (value.mean, value.half, value.n) if value else (None, None, 0)
+            cells |= zip((key, f"{key}_half", f"{key}_n"), known, strict=True)
+        else:
+            cells[key] = value
+    return cells
+
+
 def ensemble(job: Job, realisations: int) -> list[Job]:
     """The realisations of one job, NAME-r0, NAME-r1 and so on."""
     return [

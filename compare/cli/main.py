@@ -210,6 +210,29 @@ def study_paper(
     _report(directory, force, study_paper, lambda0, damping, realisations, quick, device, workers)
 
 
+@study.command("damping")
+def study_damping(
+    scene: SceneArg,
+    target: Annotated[str, typer.Option(metavar="NUMBER|eq4", help="run-out R_995 to meet, or that of Eq. 4")],
+    realisations: RealisationsOption = None,
+    device: DeviceOption = "cpu",
+    set_: SetOption = [],  # noqa: B006
+    directory: OutOption = None,
+    jobs: JobsOption = None,
+    force: AgainOption = False,
+    ranks: RanksOption = "1",
+):
+    """The local damping D that meets a run-out, with its interval, and what the solver without D gives."""
+    from compare.ensembles import REALISATIONS
+    from compare.studies.damping import study_damping
+
+    name = _announced(scene, set_).name
+    directory = directory or Path("runs") / f"{name}-damping-{target}"
+    made = REALISATIONS if realisations is None else realisations
+    workers = _workers(jobs, ranks, SIDE_BY_SIDE)
+    _report(directory, force, study_damping, scene, set_, target, made, device, workers)
+
+
 @study.command("stability")
 def study_stability(
     quick: Annotated[bool, typer.Option("--quick", help="leave out the cases of more than half a minute")] = False,

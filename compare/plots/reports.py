@@ -206,6 +206,25 @@ def draw_stiffness(rows, crossover, path) -> Path:
         return save(figure, path)
 
 
+def draw_calibration(tried, target, low, high, path) -> Path:
+    """Run-outs over damping D with their intervals, the `target` [-] and the interval of D, or None, that meets it.
+
+    `tried`: measure ("R_995", "R_max") -> {D: `compare.ensembles.Estimate`}.
+    """
+    with styled():
+        figure, axes = panel(3.6)
+        for (measure, known), colour in zip(tried.items(), (BLUE, ORANGE), strict=True):
+            ordered = sorted(known)
+            means, halves = ([getattr(known[one], what) for one in ordered] for what in ("mean", "half"))
+            axes.errorbar(ordered, means, halves, fmt="o-", ms=4, lw=1.0, capsize=3, color=colour, label=measure)
+        axes.axhline(target, color=BLACK, lw=1.0, ls="--", label=f"target {target:.3f}")
+        if low is not None:
+            axes.axvspan(low, high, color=GREEN, alpha=0.25, lw=0, label=f"D from {low:.3f} to {high:.3f}")
+        axes.set(xlabel="local damping D [-]", ylabel="run-out R [-]")
+        legend(axes)
+        return save(figure, path)
+
+
 def panel(height):
     """A figure with one panel; room for the legend above it is made when it is drawn."""
     figure = new_figure(WIDTH, height)

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from compare.batch import Job
-from compare.ensembles import Estimate, difference, ensemble, estimate, relative, run_ensembles, within
+from compare.ensembles import Estimate, difference, ensemble, estimate, flat, relative, run_ensembles, within
 from mpm.errors import SceneError
 
 FIVE, FOUR = (0.61, 0.60, 0.62, 0.59, 0.63), (0.50, 0.54, 0.51, 0.53)
@@ -69,3 +69,10 @@ def test_realisations_are_one_job_from_several_random_starts():
 def test_one_realisation_is_refused(tmp_path):
     with pytest.raises(SceneError, match="realisations 1: must be >= 2"):
         run_ensembles([], 1, tmp_path, 1, False, None)
+
+
+def test_a_row_of_a_table_has_mean_half_and_number():
+    row = flat({"D": 0.4, "R": estimate(FIVE), "H": None}, ("R", "H"))
+    assert row == {"D": 0.4, "R": pytest.approx(0.61), "R_half": pytest.approx(0.01963, abs=1e-5), "R_n": 5} | {
+        "H": None, "H_half": None, "H_n": 0,
+    }  # fmt: skip

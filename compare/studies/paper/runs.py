@@ -68,18 +68,6 @@ def row(outcomes: list[Outcome], tangent: float) -> dict:
     } | made_by(outcomes[0])
 
 
-def flat(row: dict) -> dict:
-    """A row for a table: mean, half of the interval and number of runs in place of an estimate."""
-    cells = {}
-    for key, value in row.items():
-        if key not in MEASURES:
-            cells[key] = value
-            continue
-        known = (value.mean, value.half, value.n) if value else (None, None, 0)
-        cells |= zip((key, f"{key}_half", f"{key}_n"), known, strict=True)
-    return cells
-
-
 def morphology(results: Results) -> dict[str, float]:
     """Of the last snapshot: `detached`, the share of the points [-] not joined to the axis, and `upper_strain`, the
     share of all plastic strain [-] that lies in the upper half of the local thickness."""

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from compare.batch import Workers
-from compare.ensembles import run_ensembles
+from compare.ensembles import flat, run_ensembles
 from compare.report.page import refuse_another, write_table
 from compare.report.sections import (
     WHAT_MEASURES_MEAN,
@@ -43,7 +43,7 @@ def study_paper(
     ensembles = run_ensembles(jobs, realisations, directory / "runs", workers, force, monitor)
     tangent = tan_phi(jobs[0].scene)
     rows = [runs.row(one, tangent) for one in ensembles]
-    write_table([runs.flat(row) for row in rows], directory)
+    write_table([flat(row, runs.MEASURES) for row in rows], directory)
     made = [
         fig7(tangent, directory),
         fig8(directory),
@@ -79,5 +79,5 @@ def study_paper(
         ],
         "provenance": about(everything, command),
         "failed": failed,
-        "rows": [runs.flat(row) for row in rows],
+        "rows": [flat(row, runs.MEASURES) for row in rows],
     }

@@ -1,0 +1,58 @@
+"""`repose study damping`: its target, and the study on tiny runs that go on where they were."""
+
+import importlib.util
+import json
+import math
+
+import pytest
+from test_comparison import repose, rows_of, text_of
+
+from compare.studies.damping import target_of
+from mpm.errors import SceneError
+from mpm.load import load_scene
+from mpm.theory import eq4
+
+SHORT = ("--set", "explicit.max_time=0.5", "--set", "implicit.max_steps=2")
+
+
+def test_a_target_is_a_run_out_or_eq4s():
+    scene = load_scene("column_1")
+    assert target_of("1.119", scene) == 1.119
+    assert target_of("eq4", scene) == pytest.approx(float(eq4(1.0, math.tan(math.radians(37.55)))))
+
+
+@pytest.mark.parametrize("target", ["far", "-1", "0", "nan", "inf"])
+def test_another_target_is_refused(target):
+    with pytest.raises(SceneError, match="must be a run-out R_995 > 0"):
+        target_of(target, load_scene("column_1"))
+
+
+def test_eq4_is_refused_where_it_does_not_speak():
+    with pytest.raises(SceneError, match=r"Eq\. 4 is for a column that only friction holds"):
+        target_of("eq4", load_scene("column_1", ["material.cohesion=100.0"]))
+
+
+def test_what_the_study_decides_cannot_be_set(tmp_path, capsys):
+    asked = ("study", "damping", "column_small", "--target", "0.3", "--out", tmp_path / "out")
+    assert repose(*asked, "--set", "explicit.damping=0.1", "--set", "grid.scatter=0.2") == 2
+    assert capsys.readouterr().err.count("the study sets it itself") == 2
+
+
+def test_a_target_beyond_every_damping_is_told_and_runs_are_kept(tmp_path, capsys):
+    """Within half a second the front gets nowhere near 1.5, whatever D. Both ends of D are run, no more."""
+    folder = tmp_path / "out"
+    asked = ("study", "damping", "column_small", "--target", "1.5", *SHORT, "--realisations", "2", "--out", folder)
+    assert repose(*asked) == 0
+    report = json.loads((folder / "report.json").read_text())
+    (one,) = report["checks"]
+    assert one["holds"] is False and "No D in [0, 0.9] was found: without damping the run-out is" in one["sentence"]
+    assert one["sentence"] in text_of((folder / "report.html").read_text(encoding="utf-8"))
+    explicit = [row for row in report["rows"] if row["damping"] is not None]
+    assert [(row["damping"], row["R_995_n"]) for row in explicit] == [(0.0, 2), (0.9, 2)]
+    assert explicit[0]["R_995"] > explicit[1]["R_995"]
+    assert explicit[0]["damped"] == 0.0  # of gravity's work, without damping
+    with_dolfinx = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
+    assert len(rows_of(folder)) == 2 + with_dolfinx
+    capsys.readouterr()
+    assert repose(*asked) == 0
+    assert capsys.readouterr().out.count("kept from an earlier call") == 4 + 2 * with_dolfinx
