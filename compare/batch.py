@@ -43,7 +43,7 @@ class Workers(NamedTuple):
 class Job:
     """One run: `name` in its study, scene file or preset, `--set` overrides, mode, device.
 
-    `regularisation`: what differs from `implicit.pseudo_time.Regularisation`. `repeat`: which of several equal runs.
+    `regularisation`: what differs from `implicit.pseudo_time.Regularisation`.
     `ranks`: how many MPI ranks compute it; of a solver that takes one alone it is one.
     """
 
@@ -53,7 +53,6 @@ class Job:
     mode: str
     device: str = "cpu"
     regularisation: dict[str, float] = field(default_factory=dict)
-    repeat: int = 1
     ranks: int = 1
 
     @cached_property
@@ -69,7 +68,7 @@ class Job:
         """
         find_device(self.device)
         decides: list[Any] = [self.scene.model_dump(mode="json"), self.mode, self.regularisation]
-        decides += [device_name(self.device), code_version(self.mode), self.repeat]
+        decides += [device_name(self.device), code_version(self.mode)]
         if self.ranks > 1:
             decides.append(f"{self.ranks} ranks")
         if isinstance(self.scene.geometry, Mesh):

@@ -220,7 +220,7 @@ def _cost(outcomes, labels, directory) -> dict:
         figures.append(figure("cost.png", "Distance from Eq. 4 over wall time; the numbers are cells per r0."))
     text = [
         "Set-up, kernel compilation included where nothing was cached, is apart from time stepping; each run was made "
-        "once. `repose study error` measures speed against error over a ladder of resolutions, with repeats."
+        "once. `repose study error` measures speed against error over a ladder of resolutions, by ensembles."
     ]
     implicit, explicit = (one.summary for one in outcomes[:2])
     if implicit and explicit:

@@ -8,6 +8,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from scipy.stats import t as student
@@ -108,6 +109,33 @@ def within(value: Estimate | None, low: float, high: float) -> bool | None:
     if low <= value.low and value.high <= high:
         return True
     return False if value.high < low or value.low > high else None
+
+
+class Part(NamedTuple):
+    """One case of a claim: `where` ("lambda0 = 1"), the value, between what it must lie, what is `said` of it."""
+
+    where: str
+    value: Estimate | None
+    low: float
+    high: float
+    said: str
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether the interval lies between the limits (see `within`)."""
+        return within(self.value, self.low, self.high)
+
+
+def joined(parts: list[Part]) -> tuple[bool | None, str]:
+    """Whether a claim holds in every case, and the cases in words.
+
+    False where it does not hold in one, None where one is undecided or there is none.
+    """
+    judged = [part.holds for part in parts]
+    holds = None if not parts else False if False in judged else None if None in judged else True
+    words = {True: "holds", False: "does not hold", None: "undecided"}
+    cases = [f"{part.where}: {part.said} ({words[part.holds]})" for part in parts]
+    return holds, "; ".join(cases) or "no such run was asked for"
 
 
 def flat(row: dict, measures: tuple[str, ...]) -> dict:

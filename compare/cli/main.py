@@ -172,6 +172,7 @@ def study_error(
         20,
     ],
     finer: Annotated[list[float], typer.Option(metavar="N...", help="more of the explicit solver alone")] = [],  # noqa: B006
+    realisations: RealisationsOption = None,
     device: DeviceOption = "cpu",
     set_: SetOption = [],  # noqa: B006
     directory: OutOption = None,
@@ -179,12 +180,14 @@ def study_error(
     force: AgainOption = False,
     ranks: RanksOption = "1",
 ):
-    """Speed against error of both solvers, over resolution, precision, step and stiffness (an hour or more)."""
+    """Speed against error of both solvers, over resolution, precision, step and stiffness (hours)."""
+    from compare.ensembles import REALISATIONS
     from compare.studies.error import study_error
 
     name = _announced(scene, set_).name
     directory = directory or Path("runs") / f"{name}-error"
-    _report(directory, force, study_error, scene, set_, cells, finer, device, _workers(jobs, ranks))
+    made = REALISATIONS if realisations is None else realisations
+    _report(directory, force, study_error, scene, set_, cells, finer, made, device, _workers(jobs, ranks))
 
 
 @study.command("paper", cls=SpacedNumbers)

@@ -186,8 +186,11 @@ def pareto_front(points) -> list[dict]:
     return front
 
 
-def draw_stiffness(rows, crossover, path) -> Path:
-    """Wall time over Young's modulus of both solvers; `rows` have solver, young [Pa] and seconds."""
+def draw_stiffness(rows, alike, crossover, path) -> Path:
+    """Wall time over Young's modulus of both solvers; `rows` have solver, young [Pa] and seconds.
+
+    `alike`: none, or the row of an explicit run with the moduli that the implicit solver takes for stiffer material.
+    """
     with styled():
         figure, axes = panel(3.6)
         for solver, (colour, marker, style) in SOLVER.items():
@@ -198,6 +201,8 @@ def draw_stiffness(rows, crossover, path) -> Path:
             if solver == "explicit" and mine:
                 root = seconds[0] * np.sqrt(stiffness / stiffness[0])
                 axes.loglog(stiffness, root, ":", color=BLACK, linewidth=1.0, label="square root of E")
+        for row in alike:
+            axes.axhline(row["seconds"], color=PURPLE, lw=1.2, ls="-.", label="explicit, softened as the implicit one")
         if crossover:
             axes.axvline(crossover / 1e6, color=GREEN, linewidth=1.0, label=f"as fast at {crossover / 1e6:.3g} MPa")
         axes.set(xlabel="Young's modulus E [MPa]", ylabel="time stepping, wall time [s]")

@@ -18,8 +18,6 @@ from compare.comparison import _distances, plan
 from compare.plots.reports import pareto_front
 from compare.report.page import refuse_another
 from compare.report.sections import check, soil_section, verdict
-from compare.studies import error as study_error
-from compare.studies.error import _crossover, _limit
 from explicit.run import REST_KE, REST_KE_OF_FALL
 from mpm.body import build
 from mpm.errors import SceneError
@@ -274,22 +272,6 @@ def test_a_grid_that_does_not_fit_twice_the_cell_is_compared_alone():
     assert [one.name for one in plan("column_small", ["grid.cell=0.2"], "cpu")] == ["implicit", "explicit"]
 
 
-def test_study_error_has_a_point_for_every_resolution_precision_step_and_stiffness(tmp_path, monkeypatch):
-    monkeypatch.setattr(study_error, "REPEATS", 2)
-    folder = tmp_path / "out"
-    settings = ("--set", "explicit.max_time=0.1", "--set", "implicit.max_steps=2")
-    asked = ("study", "error", "column_small", "--cells", "2", "3", "4", *settings, "--jobs", "2", "--out", folder)
-    assert repose(*asked) == 0
-    report = json.loads((folder / "report.json").read_text())
-    points = {(row["family"], row["cells"], row["changed"]) for row in report["rows"]}
-    for family in ("explicit", "explicit, float32", "implicit"):
-        assert {(family, count, "") for count in (2, 3, 4)} <= points
-    assert {(mode, 3, change) for mode in ("explicit", "implicit") for change in ("E10", "E100")} <= points
-    assert {("explicit", 4, "cfl0.25"), ("implicit", 4, "reach0.6")} <= points
-    assert all(row["repeats"] == 2 and row["fastest"] <= row["seconds"] <= row["slowest"] for row in report["rows"])
-    assert len(rows_of(folder)) == len(points) == 17
-
-
 def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path, monkeypatch):
     from compare.hard.case import Case
     from compare.studies import stability as study_stability
@@ -304,36 +286,6 @@ def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path
     assert {one["name"]: one["holds"] for one in report["checks"]} == {"coarse, implicit": True, "no such case": None}
     assert report["failed"] and "StopIteration" in report["failed"][0]
     assert len(rows_of(folder)) == 7
-
-
-def test_three_resolutions_are_needed_to_extrapolate(capsys, tmp_path):
-    assert repose("study", "error", "column_small", "--cells", "4", "8", "--out", tmp_path / "out") == 2
-    assert "three different resolutions at least" in capsys.readouterr().err
-
-
-def test_limit_is_richardsons_or_the_finest_runs():
-    def rows(values):
-        return [{"cells": count, "R_995": value} for count, value in zip((5, 10, 20), values, strict=True)]
-
-    found = _limit(rows([0.3 + 0.2 / 5, 0.3 + 0.2 / 10, 0.3 + 0.2 / 20]))
-    assert found["converged"] and found["value"] == pytest.approx(0.3) and found["order"] == pytest.approx(1.0)
-    found = _limit(rows([0.3, 0.4, 0.35]))
-    assert not found["converged"] and found["value"] == 0.35 and found["reason"]
-    assert _limit(rows([0.3, None, 0.35])) is None
-
-
-def test_crossover_of_a_flat_and_a_rising_line():
-    """Explicit 1 s at 1 MPa, rising with the square root of E; implicit 3 s throughout: they cross at 9 MPa."""
-    stiff = [
-        {"solver": solver, "young": young, "seconds": seconds}
-        for young, root in ((1e6, 1.0), (1e8, 10.0))
-        for solver, seconds in (("explicit", root), ("implicit", 3.0))
-    ]
-    found, sentence = _crossover(stiff)
-    assert found == pytest.approx(9e6)
-    assert "below which the explicit one is faster" in sentence
-    found, sentence = _crossover([row | {"seconds": 1e-3} if row["solver"] == "implicit" else row for row in stiff])
-    assert found is None and "the implicit solver is the faster one" in sentence
 
 
 def test_pareto_front_is_what_nothing_beats_in_both():

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from test_comparison import repose, rows_of, text_of
 
-from compare.ensembles import Estimate
+from compare.ensembles import Estimate, Part
 from compare.experiments import experiments
 from compare.studies.paper import runs
-from compare.studies.paper.claim import Part, of_runs
+from compare.studies.paper.claim import of_runs
 from compare.studies.paper.figures import fig10
 from compare.studies.paper.theory import TABLE1, best_mu, fig7, fig8, resampled, residuals, rmse, table1
 from mpm.load import load_scene

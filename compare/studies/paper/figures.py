@@ -5,13 +5,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from compare.batch import Outcome
-from compare.ensembles import Estimate, difference
+from compare.ensembles import Estimate, Part, difference
 from compare.plots.paper import draw_run_outs, draw_slopes
 from compare.plots.reports import draw_profiles
 from compare.plots.run import plot_morphology
 from compare.plots.style import save
 from compare.report.sections import figure
-from compare.studies.paper.claim import Part, of_runs, sentences
+from compare.studies.paper.claim import of_runs, sentences
 from compare.studies.paper.runs import IMPLICIT, label
 from mpm.theory import SQRT3
 
