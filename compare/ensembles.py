@@ -21,6 +21,7 @@ CONFIDENCE = 0.95
 # The standard deviation of R_995 is about 1 % at 8 cells per r0 (benchmarks/results/ensembles_cpu.csv): five
 # realisations tell the mean to 1.2 %, three to 2.5 %, two to 9 %.
 REALISATIONS, QUICK_REALISATIONS = 5, 3
+MOST_NAMED = 4  # cases of a claim that are all named
 SETS = ("grid.scatter", "grid.realisation")  # scene keys that make a realisation
 
 
@@ -127,14 +128,17 @@ class Part(NamedTuple):
 
 
 def joined(parts: list[Part]) -> tuple[bool | None, str]:
-    """Whether a claim holds in every case, and the cases in words.
+    """Whether a claim holds in every case, and the cases in words: of more than four only those that do not hold.
 
     False where it does not hold in one, None where one is undecided or there is none.
     """
     judged = [part.holds for part in parts]
     holds = None if not parts else False if False in judged else None if None in judged else True
     words = {True: "holds", False: "does not hold", None: "undecided"}
-    cases = [f"{part.where}: {part.said} ({words[part.holds]})" for part in parts]
+    named = [part for part in parts if len(parts) <= MOST_NAMED or not part.holds]
+    cases = [f"{part.where}: {part.said} ({words[part.holds]})" for part in named]
+    if others := len(parts) - len(named):
+        cases.append(f"it holds in {'the other' if named else 'all'} {others} cases")
     return holds, "; ".join(cases) or "no such run was asked for"
 
 

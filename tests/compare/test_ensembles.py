@@ -7,7 +7,18 @@ import pytest
 from scipy import stats
 
 from compare.batch import Job
-from compare.ensembles import Estimate, difference, ensemble, estimate, flat, relative, run_ensembles, within
+from compare.ensembles import (
+    Estimate,
+    Part,
+    difference,
+    ensemble,
+    estimate,
+    flat,
+    joined,
+    relative,
+    run_ensembles,
+    within,
+)
 from mpm.errors import SceneError
 
 FIVE, FOUR = (0.61, 0.60, 0.62, 0.59, 0.63), (0.50, 0.54, 0.51, 0.53)
@@ -76,3 +87,12 @@ def test_a_row_of_a_table_has_mean_half_and_number():
     assert row == {"D": 0.4, "R": pytest.approx(0.61), "R_half": pytest.approx(0.01963, abs=1e-5), "R_n": 5} | {
         "H": None, "H_half": None, "H_n": 0,
     }  # fmt: skip
+
+
+def test_of_many_cases_those_that_do_not_hold_are_named():
+    means = (("a", 0.5), ("b", 2.0), ("c", 1.0))
+    good, bad, open_ = (Part(name, Estimate(mean, 0.01, 4.0, 5), 0.0, 1.0, "x") for name, mean in means)
+    assert joined([good, bad]) == (False, "a: x (holds); b: x (does not hold)")
+    assert joined([good] * 5) == (True, "it holds in all 5 cases")
+    assert joined([good] * 4 + [open_]) == (None, "c: x (undecided); it holds in the other 4 cases")
+    assert joined([]) == (None, "no such run was asked for")

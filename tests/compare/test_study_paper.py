@@ -109,7 +109,7 @@ def test_run_outs_are_judged_with_their_intervals(tmp_path):
     assert [one["holds"] for one in claims] == [False, True, True, None, None, True]
     falls = claims[4]["sentence"]
     assert "-0.200 ± 0.006 from D = 0 to 0.05 (holds)" in falls  # t of 8 degrees, 2.306 sqrt(2) 0.0018
-    assert "+0.003 ± 0.006 from D = 0.05 to 0.1 (undecided)" in falls
+    assert "+0.003 ± 0.006 from D = 0.05 to 0.1 (undecided)" in falls  # of three cases all are named
     assert section["tables"][0]["rows"][3][4:6] == ["0.630 ± 0.005", "+9.2% ± 0.9%"]
     assert (tmp_path / "fig10.png").is_file()
 

@@ -66,7 +66,8 @@ def study_paper(
         f"tan(phi) = {tangent:.3f}. Explicit runs have {explicit} cells per r0 (the paper's 20), implicit ones, up to "
         f"lambda0 = {runs.IMPLICIT_LAMBDA0:g}, {implicit}; each was made {realisations} times from points that start "
         "at random within half of their spacing. A claim that runs decide holds where its whole 95 % interval does; "
-        "where the interval reaches across a limit it is undecided.",
+        "where the interval reaches across a limit it is undecided."
+        + (" So coarse a grid runs too far: for a look at the page, no judgement." if quick else ""),
         "verdict": verdict(checks),
         "checks": checks,
         "sections": [
