@@ -4,6 +4,10 @@
         --realisations 3 --jobs 2 --out benchmarks/results/NAME.csv [--set material.poisson=0.49] [--turned 45] \
         [--shifted 0.1429 0.1429 0] [--symmetry full] [--device cuda:0] [--reg ghost=0.2]
     python benchmarks/collapses.py means benchmarks/results/NAME.csv ...
+    python benchmarks/collapses.py limits benchmarks/results/NAME.csv ...
+
+`means` gives means over realisations with half of their 95 % interval, `limits` what R_995 tends to as the cell shrinks
+and how far float32 is from float64, likewise with intervals (`compare.ensembles`).
 
 `--realisations` k shows what round-off and small changes do: k runs, the r-th with a Courant number (explicit) or a
 longest step (implicit) that is r % smaller; where `--set grid.scatter=S` starts points at random places, with others.
@@ -19,7 +23,7 @@ import shlex
 import sys
 import time
 from pathlib import Path
-from statistics import mean, stdev
+from statistics import mean
 
 CASE = (
     "mode", "lambda0", "damping", "cells", "precision", "settings", "turned", "shifted", "symmetry", "regularisation",
@@ -109,9 +113,43 @@ def run(options):
             print({key: row[key] for key in told}, flush=True)
 
 
+def rows_of(tables) -> list[dict[str, str]]:
+    return [row for path in tables for row in csv.DictReader(path.read_text().splitlines())]
+
+
+def limits(options):
+    """Limits of R_995 over the grid, and float32 over float64, of each case with two realisations or more."""
+    from compare.convergence import ensemble_limit
+    from compare.ensembles import estimate, relative
+
+    found: dict[tuple[str, ...], dict[tuple[str, float], list[float]]] = {}
+    for row in rows_of(options.tables):
+        if row["R_995"]:
+            case = tuple(row[key] for key in CASE if key not in ("cells", "precision", "realisation"))
+            at = (row["precision"], float(row["cells"]))
+            found.setdefault(case, {}).setdefault(at, []).append(float(row["R_995"]))
+    for case, values in found.items():
+        known, lines = {at: estimate(runs) for at, runs in values.items()}, []
+        for precision in sorted({precision for precision, _ in known}, reverse=True):
+            cells = sorted(count for at, count in known if at == precision)
+            if len(cells) >= 3:
+                limit = ensemble_limit([1.0 / count for count in cells], [known[precision, count] for count in cells])
+                lines.append(
+                    f"{precision}, {', '.join(f'{count:g}' for count in cells[-3:])} cells per r0: {limit.said}"
+                )
+        for count in sorted(count for precision, count in known if precision == "float32"):
+            if ("float64", count) in known:
+                change = relative(known["float32", count], known["float64", count])
+                lines.append(f"float32 over float64, {count:g} cells per r0: {change.said('+.2%')}")
+        if lines:
+            print("\n  ".join([" ".join(filter(None, case)), *lines]))
+
+
 def means(options):
-    """Mean, standard error and number of realisations of R_995 and R_max, as Markdown."""
-    rows = [row for path in options.tables for row in csv.DictReader(path.read_text().splitlines())]
+    """Mean, half of its 95 % interval and number of realisations of R_995 and R_max, as Markdown."""
+    from compare.ensembles import estimate
+
+    rows = rows_of(options.tables)
     key = CASE[:-1]
     order = sorted(rows, key=lambda r: (float(r["lambda0"]), float(r["cells"]), *(r[k] for k in key)))
     print("| mode | lambda0 | D | cells | changed | n | R_995 | over Eq. 4 | R_max | volume | no p | most | full cell "
@@ -134,11 +172,10 @@ def means(options):
         def average(name, good=good):
             return mean(float(row[name] or "nan") for row in good)
 
-        spread = [float(row["R_995"]) for row in good]
-        error = f" +- {stdev(spread) / len(spread) ** 0.5:.4f}" if len(spread) > 1 else ""
         cells = [
-            f"{average('R_995'):.4f}{error}", f"{average('R_995') / average('eq4') - 1:+.1%}",
-            f"{average('R_max'):.4f}",
+            estimate(float(row["R_995"]) for row in good).said(".4f"),
+            f"{average('R_995') / average('eq4') - 1:+.1%}",
+            estimate(float(row["R_max"]) for row in good).said(".4f"),
             f"{average('volume_ratio') - 1:+.2%}", f"{average('pressureless_share'):.2%}",
             f"{average('most_points_in_a_cell'):.0f}", f"{average('full_cell_ratio'):.3f}",
             f"{average('energy_residual'):.2%}", f"{average('sim_time'):.2f}", f"{average('steps'):.0f}",
@@ -166,9 +203,10 @@ def main():
     one.add_argument("--device", default="cpu")
     one.add_argument("--out", type=Path, required=True)
     one.set_defaults(act=run)
-    other = commands.add_parser("means")
-    other.add_argument("tables", type=Path, nargs="+")
-    other.set_defaults(act=means)
+    for act in (means, limits):
+        other = commands.add_parser(act.__name__)
+        other.add_argument("tables", type=Path, nargs="+")
+        other.set_defaults(act=act)
     options = parser.parse_args()
     options.act(options)
 

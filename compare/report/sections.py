@@ -13,7 +13,7 @@ WHAT_MEASURES_MEAN = [
     "the radius that holds 99.5 % of the mass; it is the measure to compare with theory. R_max: r is the farthest "
     "point of all and its half-length, which is the paper's measure; single grains decide it. R_connected: the "
     "farthest point of the body that is joined to the axis. h_inf is the final height. Cells per r0 is the resolution: "
-    "the paper's is 20. Runs whose time step differs by 1 % end within 0.3 % in R_995.",
+    "the paper's is 20. Runs whose time step differs by 1 % end within 0.6 % in R_995.",
     "The flank angle is that of a straight line fitted to the azimuthal mean thickness where it is between 10 and 85 % "
     "of its greatest. The distance between two profiles is the volume between their mean thicknesses over the "
     "deposit's: 0 for the same profile, 2 for deposits that do not overlap. Volume gain: points that open swell.",

@@ -1,0 +1,203 @@
+"""Write the tables of results in README.md and docs/ from the tables of benchmarks/results: python docs/make_tables.py
+
+A table of a page stands between `<!-- table NAME: docs/make_tables.py -->` and `<!-- end of table -->`.
+"""
+
+import csv
+import re
+from pathlib import Path
+from statistics import mean
+
+from compare.experiments import measured_runout
+from mpm.theory import eq6
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PLACE = re.compile(r"(<!-- table ([\w-]+): docs/make_tables\.py -->\n)(.*?)(<!-- end of table -->)", re.DOTALL)
+DYNAMIC, DAMPED = 0.05, 0.4  # local damping D
+MILLION = 1e6
+
+
+def rows_of(name: str) -> list[dict[str, str]]:
+    """The rows of benchmarks/results/NAME."""
+    with (ROOT / "benchmarks" / "results" / name).open(newline="", encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+def plain(rows: list[dict[str, str]]) -> list[dict[str, str]]:
+    """Rows of quarter columns as they stand: no other key, regularisation, turn or shift."""
+    usual = {"settings": "", "regularisation": "", "symmetry": "quarter", "shifted": "0 0 0", "precision": "float64"}
+    return [row for row in rows if float(row["turned"]) == 0 and all(row[key] == value for key, value in usual.items())]
+
+
+def updated(page: str) -> str:
+    """The text of a page with its tables as the committed results are now. KeyError for a table that is not known."""
+    return PLACE.sub(lambda found: found[1] + "\n" + TABLES[found[2]]() + "\n" + found[4], page)
+
+
+def markdown(columns: list[str], rows: list[list[str]]) -> str:
+    """A table of text cells."""
+    lines = [f"| {' | '.join(cells)} |" for cells in (columns, *rows)]
+    return "\n".join([lines[0], "|---" * len(columns) + "|", *lines[1:]]) + "\n"
+
+
+def percent(value: float, digits: int = 1) -> str:
+    """A share with its sign."""
+    return f"{100 * value:+.{digits}f}%"
+
+
+def explicit_runs() -> dict[tuple[float, float, float], float]:
+    """R_995 of the explicit ladder on the GPU at (lambda0, D, cells per r0), the mean of its runs."""
+    found: dict[tuple[float, float, float], list[float]] = {}
+    for row in plain(rows_of(LADDER)):
+        at = (float(row["lambda0"]), float(row["damping"]), float(row["cells"]))
+        found.setdefault(at, []).append(float(row["R_995"]))
+    return {at: mean(values) for at, values in found.items()}
+
+
+def implicit_runs() -> list[dict[str, str]]:
+    """Rows of the implicit collapses by aspect ratio and resolution."""
+    return sorted(plain(rows_of(IMPLICIT)), key=lambda row: (float(row["lambda0"]), float(row["cells"])))
+
+
+def twenty() -> list[dict[str, str]]:
+    """Rows of the paper's twenty runs by aspect ratio and damping."""
+    return sorted(plain(rows_of(TWENTY)), key=lambda row: (float(row["lambda0"]), float(row["damping"])))
+
+
+def over_eq4(row: dict[str, str]) -> float:
+    """R_995 over Eq. 4 - 1 of a run."""
+    return float(row["R_995"]) / float(row["eq4"]) - 1.0
+
+
+def reproduces() -> str:
+    """README: both solvers beside theory and experiments."""
+    full = {(float(row["lambda0"]), float(row["damping"])): row for row in twenty()}
+    finest = {float(row["lambda0"]): row for row in implicit_runs()}
+    rows = []
+    for ratio, implicit in finest.items():
+        share = f"{percent(over_eq4(implicit))[:-1]} %"
+        cells = [f"{ratio:g}", f"{float(implicit['R_995']):.3f} ({share}, {implicit['cells']} cells)"]
+        if (ratio, DAMPED) in full:
+            damped, dynamic = full[ratio, DAMPED], full[ratio, DYNAMIC]
+            cells += [f"{float(damped['R_995']):.3f} ({percent(over_eq4(damped))[:-1]} %)"]
+            cells += [
+                f"{float(dynamic['R_995']):.3f} to {float(dynamic['R_max']):.3f}",
+                f"{measured_runout(ratio):.3f}",
+            ]
+        rows.append(cells + [""] * (5 - len(cells)))
+    columns = ["lambda0", "implicit, finest grid", "explicit, D = 0.4, 20 cells"]
+    return markdown([*columns, "explicit, D = 0.05, 20 cells: R_995 to R_max", "experiments"], rows)
+
+
+def paper() -> str:
+    """docs/paper.md: the paper's twenty runs."""
+    rows = []
+    for row in twenty():
+        ratio, measures = float(row["lambda0"]), [float(row[key]) for key in ("R_995", "R_max")]
+        rows.append(
+            [row["lambda0"], row["damping"], f"{measures[0]:.3f}", percent(over_eq4(row)), f"{measures[1]:.3f}",
+             f"{measured_runout(ratio):.3f}", f"{eq6(ratio):.3f}", percent(float(row["volume_ratio"]) - 1.0, 2),
+             f"{float(row['sim_time']):.2f}", f"{100 * float(row['energy_residual']):.2f}%"]
+        )  # fmt: skip
+    columns = ["lambda0", "D", "R_995", "R_995 / Eq. 4 - 1", "R_max", "experiments", "Eq. 6", "volume"]
+    return markdown([*columns, "at rest after [s]", "energy residual"], rows)
+
+
+def paper_grid() -> str:
+    """docs/paper.md: explicit run-outs over the grid."""
+    known, rows = explicit_runs(), []
+    for ratio, damping in ((0.5, DAMPED), (0.5, DYNAMIC), (1.0, DAMPED), (1.0, DYNAMIC)):
+        values = [known.get((ratio, damping, cells)) for cells in (8, 10, 16, 20, 32)]
+        last, before = [value for value in values if value][:-3:-1]
+        shown = ["" if value is None else f"{value:.3f}" for value in values]
+        rows.append([f"{ratio:g}", f"{damping:g}", *shown, f"{percent(last / before - 1.0)[:-1]} %"])
+    columns = ["lambda0", "D", "8", "10", "16", "20", "32 cells per r0", "change of the last refinement"]
+    return markdown(columns, rows)
+
+
+def implicit() -> str:
+    """docs/implicit.md: implicit collapses beside Eq. 4 and the explicit solver."""
+    known, rows = explicit_runs(), []
+    for row in implicit_runs():
+        ratio, cells, run_out = float(row["lambda0"]), float(row["cells"]), float(row["R_995"])
+        other = known.get((ratio, DAMPED, cells))
+        beside = [f"{other:.3f}", percent(run_out / other - 1.0)] if other else ["", ""]
+        rows.append(
+            [row["lambda0"], row["cells"], f"{run_out:.3f}", percent(over_eq4(row)), *beside,
+             percent(float(row["volume_ratio"]) - 1.0, 2), f"{float(row['h_inf']):.3f}", row["steps"],
+             row["newton_iterations"]]
+        )  # fmt: skip
+    columns = ["lambda0", "cells per r0", "R_995", "over Eq. 4", "explicit, D = 0.4", "over explicit", "volume"]
+    return markdown([*columns, "h_inf [m]", "steps", "Newton iterations"], rows)
+
+
+def creep() -> str:
+    """docs/implicit.md: R_995 as what is out of balance falls."""
+    found: dict[tuple[str, str], dict[float, str]] = {}
+    for row in rows_of("implicit_creep_cpu.csv"):
+        of = found.setdefault((row["lambda0"], row["cells"]), {})
+        of[float(row["unbalanced"])] = f"{float(row['R_995']):.3f}"
+    shares = {"1e-2": 1e-2, "5e-3": 5e-3, "2e-3": 2e-3, "1e-3": 1e-3}
+    rows = [[*at, *(of[share] for share in shares.values())] for at, of in found.items()]
+    return markdown(["lambda0", "cells per r0", *shares], rows)
+
+
+def regularisation() -> str:
+    """docs/implicit.md: what each part of the regularisation does to R_995 at lambda0 = 0.5."""
+    usual = {row["cells"]: float(row["R_995"]) for row in implicit_runs() if row["lambda0"] == "0.5"}
+    found: dict[str, dict[str, dict[str, str]]] = {}
+    for row in rows_of("implicit_regularisation_cpu.csv"):
+        if row["lambda0"] == "0.5":
+            found.setdefault(row["regularisation"], {})[row["cells"]] = row
+    rows = []
+    for changed, of in found.items():
+        changes = [percent(float(of[n]["R_995"]) / usual[n] - 1.0) if n in of else "" for n in ("8", "16")]
+        rows.append([changed, *changes, of["8"]["steps"], of["8"]["newton_iterations"]])
+    return markdown(["lambda0 = 0.5", "8 cells per r0", "16", "steps (8)", "Newton iterations (8)"], rows)
+
+
+def speed_error() -> str:
+    """docs/speed.md: how far each grid is from the solver's own finest one, lambda0 = 0.5."""
+    explicit = {at[2]: value for at, value in explicit_runs().items() if at[:2] == (0.5, DAMPED)}
+    implicit = {float(row["cells"]): float(row["R_995"]) for row in implicit_runs() if row["lambda0"] == "0.5"}
+    rows = []
+    for cells in (8.0, 10.0, 16.0):
+        for solver, known in (("explicit, D = 0.4", explicit), ("implicit", implicit)):
+            off = known[cells] / known[max(known)] - 1.0
+            rows.append([solver, f"{cells:g}", f"{known[cells]:.3f}", percent(off)])
+    return markdown(["solver", "cells per r0", "R_995", "off its finest"], rows)
+
+
+def gpu() -> str:
+    """docs/speed.md: throughput of the explicit solver on a GPU."""
+    found: dict[int, dict[str, float]] = {}
+    for row in rows_of("bench_explicit_h200.csv"):
+        found.setdefault(int(row["points"]), {})[row["precision"]] = float(row["point_steps_per_s"])
+    rows = []
+    for points, of in found.items():
+        cells = [f"{points:,}"]
+        for precision in ("float32", "float64"):
+            rate = of.get(precision)
+            cells += [f"{rate / MILLION:,.0f}", f"{points / rate * MILLION:,.0f}"] if rate else ["not measured", ""]
+        rows.append(cells)
+    columns = ["points", "float32, million point-steps/s", "microseconds a step"]
+    return markdown([*columns, "float64", "microseconds a step"], rows)
+
+
+LADDER, TWENTY = "explicit_ladder_h200.csv", "explicit_twenty_h200.csv"
+IMPLICIT = "implicit_collapses_cpu.csv"
+TABLES = {
+    "reproduces": reproduces,
+    "paper": paper,
+    "paper-grid": paper_grid,
+    "implicit": implicit,
+    "creep": creep,
+    "regularisation": regularisation,
+    "speed-error": speed_error,
+    "gpu": gpu,
+}
+
+if __name__ == "__main__":
+    for path in PAGES:
+        path.write_text(updated(path.read_text(encoding="utf-8")), encoding="utf-8")

@@ -1,0 +1,203 @@
+"""The numbers of README.md and docs/ are those of the committed tables of benchmarks/results: tables as a whole, and
+sentences whose numbers are worked out here anew."""
+
+import re
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import curve_fit
+
+from compare.experiments import experiments, measured_runout
+from mpm.theory import eq6, eq6_printed
+
+ROOT = Path(__file__).parents[1]
+TABLES = runpy.run_path(str(ROOT / "docs" / "make_tables.py"))
+rows_of, plain = TABLES["rows_of"], TABLES["plain"]
+EXPLICIT = TABLES["explicit_runs"]()  # (lambda0, D, cells per r0): R_995
+IMPLICIT = {(float(row["lambda0"]), float(row["cells"])): row for row in TABLES["implicit_runs"]()}
+TWENTY = {(float(row["lambda0"]), float(row["damping"])): row for row in TABLES["twenty"]()}
+ASPECTS = (0.5, 1.0, 2.0, 4.0)
+
+
+def r(row) -> float:
+    return float(row["R_995"])
+
+
+def text(page: str) -> str:
+    """A page as one line."""
+    return " ".join((ROOT / page).read_text(encoding="utf-8").split())
+
+
+def numbers(page: str, sentence: str) -> list[str]:
+    """The numbers of a page where `sentence` has #; the sentence must stand there once."""
+    pattern = re.escape(sentence).replace(r"\#", r"([-+]?[\d.,]*\d)").replace(r"\ ", " ")
+    found = re.findall(pattern, text(page))
+    assert len(found) == 1, f"{page}: {sentence!r} stands there {len(found)} times"
+    return [found[0]] if isinstance(found[0], str) else list(found[0])
+
+
+def percent(*ratios: float) -> list[float]:
+    return [100.0 * (ratio - 1.0) for ratio in ratios]
+
+
+def stands(page: str, sentence: str, *values: float):
+    """Each number of the sentence is one of `values`, in their order, rounded to as many digits as it has."""
+    given = numbers(page, sentence)
+    assert len(given) == len(values)
+    for number, value in zip(given, values, strict=True):
+        digits = len(number.partition(".")[2])
+        assert float(number) == pytest.approx(value, abs=0.5001 * 10.0**-digits), sentence
+
+
+@pytest.mark.parametrize("page", TABLES["PAGES"], ids=lambda page: page.name)
+def test_tables_are_those_of_the_committed_results(page):
+    """`python docs/make_tables.py` writes them anew."""
+    written = page.read_text(encoding="utf-8")
+    assert TABLES["updated"](written) == written
+
+
+def test_every_table_has_its_place():
+    names = [
+        name for page in TABLES["PAGES"] for name in re.findall(r"<!-- table ([\w-]+): docs", page.read_text("utf-8"))
+    ]
+    assert sorted(names) == sorted(TABLES["TABLES"])
+
+
+def test_another_number_in_a_table_is_found():
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert TABLES["updated"](page.replace("0.298 (-3.1 %", "0.299 (-3.1 %")) == page
+    with pytest.raises(AssertionError):
+        stands("README.md", "R_995 = #", 0.2)
+
+
+def test_what_the_readme_says_of_its_table():
+    finest = {ratio: row for (ratio, _), row in IMPLICIT.items()}
+    worst = max(abs(TABLES["over_eq4"](row)) for row in finest.values())
+    stands("README.md", "**The implicit solver meets Eq. 4** within # %", 100 * worst)
+    above = [TABLES["over_eq4"](TWENTY[ratio, 0.4]) for ratio in ASPECTS]
+    beside = [
+        EXPLICIT[ratio, 0.4, cells] / r(row)
+        for (ratio, cells), row in IMPLICIT.items()
+        if (ratio, 0.4, cells) in EXPLICIT
+    ]
+    said = "it ends # to # % above Eq. 4 and # to # % above the implicit solver at equal cells"
+    stands("README.md", said, 100 * min(above), 100 * max(above), *percent(min(beside), max(beside)))
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/paper.md"])
+def test_the_experiments_lie_between_the_measures_of_light_damping(page):
+    assert "they lie between R_995 and R_max, or within 2 % of R_max" in text(page)
+    for ratio in ASPECTS:
+        row, known = TWENTY[ratio, 0.05], measured_runout(ratio)
+        assert r(row) < known < 1.02 * float(row["R_max"])
+
+
+def test_what_the_page_on_the_paper_says():
+    page = "docs/paper.md"
+    above = [100 * TABLES["over_eq4"](TWENTY[ratio, 0.4]) for ratio in ASPECTS]
+    stands(page, "**D = 0.4 ends above Eq. 4**: by #, #, # and # %", *above)
+    known = experiments()
+    printed, exchanged = (
+        float(np.sqrt(np.mean((form(known[:, 0]) - known[:, 1]) ** 2))) for form in (eq6_printed, eq6)
+    )
+    stands(page, "misses the digitised experiments by an RMSE of #; with", printed)
+    stands(page, "1.30 lambda0^0.63, by the # that the paper states", exchanged)
+    for measure in ("R_995", "R_max"):
+        for ratio in ASPECTS:
+            run_outs = [float(TWENTY[ratio, damping][measure]) for damping in (0, 0.05, 0.1, 0.2, 0.4)]
+            assert run_outs == sorted(run_outs, reverse=True)
+
+
+def test_pairs_of_runs_end_as_near_as_the_page_on_the_paper_says():
+    pairs = {}
+    for row in plain(rows_of("explicit_ladder_h200.csv")):
+        pairs.setdefault((row["lambda0"], row["damping"], row["cells"]), []).append(r(row))
+    apart = [100 * (max(two) / min(two) - 1) for two in pairs.values() if len(two) == 2]
+    stands("docs/paper.md", "they end within # % of each other", max(apart))
+
+
+def test_why_damping_is_not_quasistatic():
+    page = "docs/paper.md"
+    ladder = {
+        (row["lambda0"], row["damping"], row["cells"], row["settings"]): r(row)
+        for row in rows_of("explicit_ladder_h200.csv")
+    }
+    stiff = {
+        row["lambda0"]: r(row)
+        for row in rows_of("explicit_stiff_cpu.csv")
+        if row["settings"] == "material.young=5.84e7"
+    }
+    creep = {
+        (row["lambda0"], row["cells"], float(row["unbalanced"])): r(row) for row in rows_of("implicit_creep_cpu.csv")
+    }
+    material = {row["settings"]: r(row) for row in rows_of("implicit_material_cpu.csv")}
+    explicit, implicit = EXPLICIT[1.0, 0.4, 8.0], r(IMPLICIT[1.0, 8.0])
+    stands(page, "the explicit run ends at #, the implicit one at #.", explicit, implicit)
+    started = ladder["1", "0.4", "16", "loads.initial_stress=geostatic"]
+    stands(page, "16 cells: # against #)", started, EXPLICIT[1.0, 0.4, 16.0])
+    rested = creep["1", "8", 1e-3]
+    stands(page, "0.1 % is out of balance, the implicit one ends at #", rested)
+    tenfold = ladder["1", "0.4", "8", "material.young=5.84e7"]
+    moved = material["material.young=5.84e7"] / implicit
+    said = (
+        "ten times stiffer it ends at #, # % shorter, where the implicit one moves by # %. Then the two are # % apart"
+    )
+    stands(page, said, tenfold, -percent(tenfold / explicit)[0], *percent(moved, tenfold / rested))
+    low = stiff["0.5"], creep["0.5", "8", 1e-3]
+    stands(page, "at lambda0 = 0.5 likewise, # and #, # %", *low, *percent(low[0] / low[1]))
+
+
+def test_what_the_page_on_the_implicit_solver_says_of_the_grid():
+    page = "docs/implicit.md"
+    at = {ratio: {cells: r(IMPLICIT[ratio, cells]) for cells in (8.0, 10.0, 16.0, 20.0)} for ratio in (0.5, 1.0)}
+    low, high = at[0.5], at[1.0]
+    said = "at lambda0 = 0.5 by # % from 10 to 16 cells and # % from 16 to 20, at lambda0 = 1 by # % from 8 to 10, "
+    said += "# % from 10 to 16 and # % from 16 to 20"
+    changes = percent(
+        low[16] / low[10], low[20] / low[16], high[10] / high[8], high[16] / high[10], high[20] / high[16]
+    )
+    stands(page, said, *changes)
+    size = 10.0 / np.array(list(low))
+    limit, _, order = curve_fit(lambda h, a, c, p: a + c * h**p, size, list(low.values()), p0=(0.3, 0.05, 1.5))[0]
+    over = limit / float(IMPLICIT[0.5, 20.0]["eq4"])
+    stands(
+        page, "A fit of R + C h^p gives p = # and R = # at lambda0 = 0.5 (#% of Eq. 4)", order, limit, *percent(over)
+    )
+
+
+def test_what_the_page_on_the_implicit_solver_says_does_not_matter():
+    page = "docs/implicit.md"
+    usual = {ratio: r(IMPLICIT[ratio, 8.0]) for ratio in (0.5, 1.0)}
+    material = {
+        row["settings"].removeprefix("material."): r(row) / usual[1.0] for row in rows_of("implicit_material_cpu.csv")
+    }
+    short = [-change for change in percent(material["poisson=0.49"], material["poisson=0.499"])]
+    assert short[0] == pytest.approx(short[1], abs=0.05)
+    stands(page, "nu = 0.49 and 0.499 end # % short of nu = 0.3", short[0])
+    young = percent(*(material[f"young=5.84e{power}"] for power in (5, 7, 8)))
+    stands(page, "E = 0.58, 58 and 584 MPa at #, # and # %", *young)
+    placed = {}
+    for row in rows_of("implicit_lattice_cpu.csv"):
+        change = percent(r(row) / usual[float(row["lambda0"])])[0]
+        placed[row["turned"], row["shifted"], row["lambda0"]] = change
+    turned = [-placed["45", "0 0 0", ratio] for ratio in ("0.5", "1")]
+    stands(page, "turned by 45 degrees to the grid ends # (lambda0 = 0.5) and # % short", *turned)
+    shifted = [-placed["0", "0.142857 0.142857 0", ratio] for ratio in ("0.5", "1")]
+    stands(page, "a seventh of a cell along x and y ends # and # % short", *shifted)
+    lifted = [placed["0", "0 0 0.142857", ratio] for ratio in ("0.5", "1")]
+    stands(page, "ends # and # % farther", *lifted)
+
+
+def test_what_the_page_on_speed_says_of_run_outs():
+    page = "docs/speed.md"
+    apart = r(IMPLICIT[0.5, 20.0]) / EXPLICIT[0.5, 0.4, 20.0]
+    stands(page, "What the two differ by on fine grids, # %", -percent(apart)[0])
+    for cells in (8.0, 10.0):
+        row = IMPLICIT[0.5, cells]
+        said = f"| implicit | {cells:g} | # -> # | rest -> rest | # -> # |"
+        _, run_out, _, newton = numbers(page, said)
+        assert (run_out, newton) == (f"{r(row):.3f}", row["newton_iterations"])
+        _, run_out = numbers(page, f"| explicit, D = 0.4 | {cells:g} | # -> # |")
+        assert run_out == f"{EXPLICIT[0.5, 0.4, cells]:.3f}"
