@@ -58,7 +58,9 @@ def clay_incompressible_implicit():
 def _collapses(mode):
     run = block(mode, TALL, 0.1)
     reason = "2.6 times the critical height: with the pressure law at the points it stood"
-    yield Finding("tall block: height left, over h0", mode, run.last_row["height"] / TALL, 0.85, reason, story(run))
+    yield Finding(
+        "tall block: height left, over h0", mode, run.last_row["height"] / TALL, 0.85, reason, story(run), run
+    )
 
 
 def _critical(mode):

@@ -86,7 +86,7 @@ def story(*runs: Run) -> str:
 
 def same(what: str, run: Run, base: Run, limit: float, reason: str, more: str = "") -> Finding:
     """The finding that two run-outs are one, within `limit` of the second."""
-    return Finding(f"{what}: R", run.mode, apart(run, base), limit, reason, story(run, base) + more)
+    return Finding(f"{what}: R", run.mode, apart(run, base), limit, reason, story(run, base) + more, run)
 
 
 def not_finite(run: Run) -> int:
@@ -132,7 +132,7 @@ def sector_spread(run: Run) -> str:
 
 def sound(run: Run, name: str):
     """Every number finite, and all of the mass on the grid."""
-    yield Finding(f"{name}: numbers not finite", run.mode, not_finite(run), 0, "a state is finite", story(run))
+    yield Finding(f"{name}: numbers not finite", run.mode, not_finite(run), 0, "a state is finite", story(run), run)
     yield Finding(f"{name}: mass", run.mode, mass_error(run), 1e-12, "weights sum to 1, but for round-off")
 
 
@@ -199,7 +199,8 @@ def friction_implicit():
 def _friction(mode, *settings):
     runs = [collapse(mode, LOW, f"material.friction_angle={angle}", *settings) for angle in ANGLES]
     for angle, run in zip(ANGLES, runs, strict=True):
-        yield Finding(f"phi = {angle}: numbers not finite", mode, not_finite(run), 0, "a state is finite", story(run))
+        what = f"phi = {angle}: numbers not finite"
+        yield Finding(what, mode, not_finite(run), 0, "a state is finite", story(run), run)
     reach = np.array([runout(run) for run in runs])
     yield Finding(
         "largest rise of R from one phi to the next", mode, float(np.diff(reach).max()), 0.0,
@@ -246,7 +247,7 @@ def _checkerboard(mode, *settings):
         yield Finding(
             f"nu = {nu}: pressure scatter in a cell of a standing column, times that at 0.3", mode,
             roughness(run) / roughness(base), 2.0, ROUGH_REASON,
-            f"{roughness(run):.3f} against {roughness(base):.3f} of the mean pressure",
+            f"{roughness(run):.3f} against {roughness(base):.3f} of the mean pressure", run,
         )  # fmt: skip
 
 

@@ -102,7 +102,7 @@ def _creep(run: Run) -> Finding:
     after = front(run.x, run.body.measure)["R_995"]
     note = f"R {before:.4f} to {after:.4f} after {run.stop_reason} at {end:.3g} s"
     what = f"lambda0 = {run.body.scene.geometry.aspect_ratio:g}: R in another 4 sqrt(h0/g)"
-    return Finding(what, run.mode, abs(after / before - 1.0), 0.005, CREEP_REASON, note)
+    return Finding(what, run.mode, abs(after / before - 1.0), 0.005, CREEP_REASON, note, run)
 
 
 BLOCK = ("geometry.size=[0.5,0.5,0.5]", "geometry.walls={z_min='fixed'}", "grid.cell=0.25")

@@ -12,8 +12,9 @@ from pathlib import Path
 from compare.hard import clay, collapse, law, rest, transfer
 from compare.hard.case import CASES, Case, judge
 from compare.launch import ONE_THREAD
+from compare.plots.hard import draw_case
 from compare.report.page import refuse_another, write_table
-from compare.report.sections import check, verdict
+from compare.report.sections import check, figure, verdict
 from mpm.provenance import code_version, provenance
 
 MODULES = (transfer, law, rest, collapse, clay)  # importing them registers their cases
@@ -52,7 +53,10 @@ def study_stability(directory: Path, force, _monitor, command: str, quick: bool,
         "pass its limit, which is physical or has the reason given.",
         "verdict": verdict(checks),
         "checks": checks,
-        "sections": [{"title": "All figures", "text": [], "tables": [table], "figures": []}],
+        "sections": [
+            _pictures(cases, folder, version, directory),
+            {"title": "All figures", "text": [], "tables": [table], "figures": []},
+        ],
         "provenance": here | {"code": version, "report made by": command},
         "failed": [f"{row['case']}: {row['note']}" for row in rows if row["outcome"] == "died"],
         "rows": rows,
@@ -61,11 +65,11 @@ def study_stability(directory: Path, force, _monitor, command: str, quick: bool,
 
 def _rows(case: Case, folder: Path, version: str, force: bool) -> list[dict]:
     """The rows of one case: kept ones, or those of a process that runs it now."""
-    path = folder / f"{case.name.replace(' ', '-')}-{version}.json"
+    path = _answer(case, folder, version)
     if force:
         path.unlink(missing_ok=True)
     started = time.perf_counter()
-    if not path.is_file():
+    if not (path.is_file() and path.with_suffix(".png").is_file()):
         asked = [sys.executable, "-P", "-m", "compare.studies.stability", case.name, str(path)]
         try:
             said = subprocess.run(asked, capture_output=True, text=True, env=os.environ | ONE_THREAD, timeout=LONGEST)
@@ -80,6 +84,23 @@ def _rows(case: Case, folder: Path, version: str, force: bool) -> list[dict]:
     stable = sum(row["outcome"] == "stable" for row in rows)
     print(f"{case.name}: {stable} of {len(rows)} stable, {rows[-1]['seconds']:.1f} s", flush=True)
     return rows
+
+
+def _answer(case: Case, folder: Path, version: str) -> Path:
+    """Where the rows of a case are kept; its picture lies beside, as PNG."""
+    return folder / f"{case.name.replace(' ', '-')}-{version}.json"
+
+
+def _pictures(cases: list[Case], folder: Path, version: str, directory: Path) -> dict:
+    """The picture of each case; a process that died left none."""
+    figures = []
+    for case in cases:
+        picture = _answer(case, folder, version).with_suffix(".png")
+        if picture.is_file():
+            meant = " ".join((case.run.__doc__ or "").split())
+            figures.append(figure(str(picture.relative_to(directory)), f"{case.name}: {meant}"))
+    text = "Bars: figures over their limits. Below: where the runs ended, cut through the axis; colour: displacement."
+    return {"title": "Each case as a picture", "text": [text], "tables": [], "figures": figures}
 
 
 def _check(name: str, rows: list[dict]) -> dict:
@@ -105,5 +126,6 @@ def _version() -> str:
 
 if __name__ == "__main__":
     name, answer = sys.argv[1:]
-    found = judge(next(case for case in CASES if case.name == name))
+    found, shown = judge(next(case for case in CASES if case.name == name))
     Path(answer).write_text(json.dumps(found), encoding="utf-8")
+    draw_case(found, shown, Path(answer).with_suffix(".png"))

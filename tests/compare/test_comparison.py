@@ -285,6 +285,8 @@ def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path
     assert outcomes == ["stable"] * 6 + ["died"]
     assert {one["name"]: one["holds"] for one in report["checks"]} == {"coarse, implicit": True, "no such case": None}
     assert report["failed"] and "StopIteration" in report["failed"][0]
+    (picture,) = report["sections"][0]["figures"]  # a process that died left none
+    assert picture["caption"].startswith("coarse, implicit: ") and (folder / picture["file"]).stat().st_size > 10_000
     assert len(rows_of(folder)) == 7
 
 

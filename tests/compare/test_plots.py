@@ -1,14 +1,17 @@
 """The pictures: not blank, and drawn from the right numbers."""
 
 import io
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from matplotlib.image import imread
 
 from compare.metrics import highest, profile
+from compare.plots.hard import draw_case, over_limit
 from compare.plots.run import plot_history, plot_morphology, plot_profile
 from implicit.pseudo_time import REST_UNBALANCED
+from mpm.body import build
 from mpm.errors import SceneError
 from mpm.load import parse_scene
 from mpm.results import Results
@@ -248,3 +251,21 @@ def test_nothing_global_is_left_behind(column):
         plot(column)
     assert dict(matplotlib.rcParams) == before
     assert _pylab_helpers.Gcf.get_all_fig_managers() == []
+
+
+@pytest.mark.parametrize(
+    ("value", "limit", "share"), [(0.5, 2.0, 0.25), (0, 0, 1e-3), (3, 0, 1e2), (None, None, 1e2), (1e-9, 1.0, 1e-3)]
+)
+def test_figures_of_a_hard_case_are_shown_over_their_limits(value, limit, share):
+    assert over_limit({"value": value, "limit": limit}) == pytest.approx(share)
+
+
+def test_picture_of_a_hard_case_shows_limits_and_ends(tmp_path):
+    body = build(scene())
+    runs = {"it falls": SimpleNamespace(body=body, x=body.x * [1.5, 1.5, 0.5])}
+    rows = [{"what": "it falls", "solver": "explicit", "value": 0.1, "limit": 0.2, "outcome": "stable"}]
+    rows.append({"what": "the rest", "solver": "", "value": None, "limit": None, "outcome": "refused"})
+    with_end, without = (draw_case(rows, which, tmp_path / f"{len(which)}.png") for which in (runs, {}))
+    tall, low = imread(with_end), imread(without)
+    assert tall.shape[0] > 1.5 * low.shape[0] and tall.shape[1] == low.shape[1]
+    assert len(np.unique(tall.reshape(-1, tall.shape[2]), axis=0)) > 200
