@@ -39,7 +39,7 @@ def test_what_the_study_decides_cannot_be_set(tmp_path, capsys):
 
 
 def test_a_target_beyond_every_damping_is_told_and_runs_are_kept(tmp_path, capsys):
-    """Within half a second the front gets nowhere near 1.5, whatever D. Both ends of D are run, no more."""
+    """Within half a second the front gets nowhere near 1.5: runs without damping tell, no other D is tried."""
     folder = tmp_path / "out"
     asked = ("study", "damping", "column_small", "--target", "1.5", *SHORT, "--realisations", "2", "--out", folder)
     assert repose(*asked) == 0
@@ -48,11 +48,10 @@ def test_a_target_beyond_every_damping_is_told_and_runs_are_kept(tmp_path, capsy
     assert one["holds"] is False and "No D in [0, 0.9] was found: without damping the run-out is" in one["sentence"]
     assert one["sentence"] in text_of((folder / "report.html").read_text(encoding="utf-8"))
     explicit = [row for row in report["rows"] if row["damping"] is not None]
-    assert [(row["damping"], row["R_995_n"]) for row in explicit] == [(0.0, 2), (0.9, 2)]
-    assert explicit[0]["R_995"] > explicit[1]["R_995"]
+    assert [(row["damping"], row["R_995_n"]) for row in explicit] == [(0.0, 2)]
     assert explicit[0]["damped"] == 0.0  # of gravity's work, without damping
     with_dolfinx = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
-    assert len(rows_of(folder)) == 2 + with_dolfinx
+    assert len(rows_of(folder)) == 1 + with_dolfinx
     capsys.readouterr()
     assert repose(*asked) == 0
-    assert capsys.readouterr().out.count("kept from an earlier call") == 4 + 2 * with_dolfinx
+    assert capsys.readouterr().out.count("kept from an earlier call") == 2 + 2 * with_dolfinx
