@@ -18,8 +18,8 @@ from mpm.errors import SceneError
 
 SCATTER = 0.5  # share of their spacing within which points start at random places
 CONFIDENCE = 0.95
-# The standard deviation of R_995 is about 1 % at 8 cells per r0 (benchmarks/results/ensembles_cpu.csv): five
-# realisations tell the mean to 1.2 %, three to 2.5 %, two to 9 %.
+# Five realisations tell a mean to 1.2 standard deviations, three to 2.5, two to 9. That of R_995 is 0.2 to 3.5 % of
+# R_995 at 8 cells per r0 (benchmarks/results/scatter_cpu.csv).
 REALISATIONS, QUICK_REALISATIONS = 5, 3
 MOST_NAMED = 4  # cases of a claim that are all named
 SETS = ("grid.scatter", "grid.realisation")  # scene keys that make a realisation

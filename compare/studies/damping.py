@@ -48,7 +48,7 @@ def study_damping(
     refuse_settings(settings, ("explicit.damping", "explicit.until", *SETS))
     wanted = target_of(target, scene)
     about_what = {"study": "damping", "scene": scene.model_dump(mode="json"), "device": device, "target": target}
-    about_what |= {"realisations": realisations}
+    about_what |= {"realisations": list(range(realisations))}
     refuse_another(directory, about_what, force)
     runs = directory / "runs"
     common = (*settings, "output.vtk=false", "explicit.until=rest")
