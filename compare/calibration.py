@@ -27,47 +27,49 @@ class Calibration:
 def bisect(run_outs: Callable[[float], Estimate | None], target: float) -> Calibration:
     """D in [0, 0.9] at which the interval of the run-out covers `target` [-]; run-outs fall with D.
 
-    `run_outs`(D): what an ensemble with that D gives, None where its runs failed. D = 0 is tried first, 0.9 where 0.45
-    still runs too far: heavy damping holds a column up, and such runs are long. Where the intervals are so narrow that
-    none covers the target, the bracket is halved until it is 0.005 wide.
+    `run_outs`(D): what an ensemble with that D gives, None where its runs failed. D = 0 is tried first. A damping at
+    which fewer than two runs end with a result holds the column up (its energy ledger does not close): less is tried.
+    Where the intervals are so narrow that none covers the target, the bracket is halved until it is 0.005 wide.
     """
     tried: dict[float, Estimate] = {}
     low, high, damping = LOWEST, HIGHEST, LOWEST
     while high - low > FINEST:
         found = run_outs(damping)
-        if found is None or found.n < 2:
-            return _none(tried, f"fewer than two runs at D = {damping:g} came to an end")
-        tried[damping] = found
-        if found.low <= target <= found.high:
-            beyond = 0.5 * (LOWEST + HIGHEST)
-            if damping == LOWEST and (other := run_outs(beyond)):  # where the interval ends
-                tried[beyond] = other
-            return _found(tried, damping, target)
-        if found.mean < target and damping == LOWEST:
-            return _none(tried, f"without damping the run-out is {found.said()}, short of {target:g}")
-        if found.mean > target and damping == HIGHEST:
-            return _none(tried, f"at D = {HIGHEST:g} the run-out is still {found.said()}, beyond {target:g}")
-        if found.mean > target:
+        if found is not None and found.n > 1:
+            tried[damping] = found
+        elif damping == LOWEST:
+            return _none(tried, "without damping fewer than two runs came to a result")
+        if damping not in tried:
+            high = damping
+        elif found.low <= target <= found.high:
+            if damping == LOWEST and (other := run_outs(0.5 * HIGHEST)):  # where the interval ends
+                tried[0.5 * HIGHEST] = other
+            return _found(tried, damping, target, high)
+        elif found.mean > target:
             low = damping
+        elif damping == LOWEST:
+            return _none(tried, f"without damping the run-out is {found.said()}, short of {target:g}")
         else:
             high = damping
-        first_beyond = low > LOWEST and high == HIGHEST and HIGHEST not in tried
-        damping = HIGHEST if first_beyond else 0.5 * (low + high)
-    return Calibration(0.5 * (low + high), low, high, f"run-outs on either side of {target:g} are that near", tried)
+        damping = 0.5 * (low + high)
+    if high not in tried:
+        why = "and runs with more come to no result" if high < HIGHEST else "the most that was tried"
+        return _none(tried, f"at D = {low:.3g} the run-out is still {tried[low].said()}, beyond {target:g}, {why}")
+    return Calibration(damping, low, high, f"run-outs on either side of {target:g} are that near", tried)
 
 
 def _none(tried, said) -> Calibration:
     return Calibration(None, None, None, f"no D in [{LOWEST:g}, {HIGHEST:g}] was found: {said}", tried)
 
 
-def _found(tried, damping, target) -> Calibration:
+def _found(tried, damping, target, beyond) -> Calibration:
     """The interval: all D around `damping` whose intervals of the run-out, on straight lines between those that were
-    tried, cover the target."""
+    tried, cover the target; up to `beyond` at the most, where none was."""
     known = sorted(tried)
     at = known.index(damping)
     # Towards less damping the lower end rises beyond the target, towards more the upper end falls short of it.
     least = _passed(known[at::-1], [tried[one].low - target for one in known[at::-1]], LOWEST)
-    most = _passed(known[at:], [target - tried[one].high for one in known[at:]], HIGHEST)
+    most = _passed(known[at:], [target - tried[one].high for one in known[at:]], beyond)
     return Calibration(damping, least, most, f"the run-out there is {tried[damping].said()}", tried)
 
 

@@ -68,7 +68,10 @@ def study_damping(
     rows += [_row("implicit", None, quasistatic)] if quasistatic else []
     write_table([flat(row, ESTIMATES) for row in rows], directory)
     everything = [one for outcomes in (*made.values(), quasistatic) for one in outcomes]
-    failed = failures(everything, [one.job.name for one in everything])
+    # Runs held up by too much damping come to no result: they only tell where the search must not go.
+    of_use = [made[damping] for damping in {LOWEST, *found.tried}]
+    counted = [one for outcomes in (*of_use, quasistatic) for one in outcomes]
+    failed, told = (failures(runs, [one.job.name for one in runs]) for runs in (counted, everything))
     checks = [_check(found, wanted, failed)]
     return {
         "about": about_what,
@@ -81,7 +84,7 @@ def study_damping(
         "sections": [
             _calibrated(found, wanted, rows, directory),
             _without(found, wanted, rows, refused),
-            {"title": "Failed runs", "text": failed or ["None."], "tables": [], "figures": []},
+            {"title": "Runs without a result", "text": told or ["None."], "tables": [], "figures": []},
             {"title": "What the measures mean", "text": WHAT_MEASURES_MEAN, "tables": [], "figures": []},
         ],
         "provenance": about(everything, command),

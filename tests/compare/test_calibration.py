@@ -43,14 +43,18 @@ def test_the_interval_holds_the_root_of_a_curve_as_steep_as_a_collapse(target):
     ("target", "tried", "words"),
     [
         (1.3, [0.0], "without damping the run-out is 1.200 ± 0.030, short of 1.3"),
-        (0.01, [0.0, 0.45, 0.9], "at D = 0.9 the run-out is still 0.120 ± 0.030, beyond 0.01"),
+        (
+            0.01,
+            [0.0, *(0.9 - 0.9 / 2**n for n in range(1, 9))],
+            "at D = 0.896 the run-out is still 0.124 ± 0.030, beyond",
+        ),
     ],
 )
 def test_no_damping_meets_what_lies_outside(target, tried, words):
     run_outs, asked = known(lambda d: 1.2 - 1.2 * d, 0.03)
     found = bisect(run_outs, target)
     assert (found.damping, found.low, found.high) == (None, None, None)
-    assert words in found.said and asked == tried
+    assert words in found.said and asked == pytest.approx(tried)
 
 
 def test_a_target_within_the_interval_of_an_end_is_met_there():
@@ -67,6 +71,17 @@ def test_a_jump_is_bracketed():
     assert len(asked) == 9  # 0.9/2^8 is the first below 0.005
 
 
-def test_failed_runs_are_told():
-    found = bisect(lambda d: None if d > 0.4 else Estimate(1.0, 0.01, 4.0, 5), 0.5)
-    assert found.damping is None and "fewer than two runs at D = 0.45" in found.said
+def test_damping_at_which_runs_come_to_no_result_is_too_much():
+    """R = 1.2 - 1.2 D up to D = 0.6: 0.525 is met at 0.5625, after 0.675 gave nothing."""
+    run_outs, asked = known(lambda d: 1.2 - 1.2 * d, 0.03)
+    found = bisect(lambda d: run_outs(d) if d <= 0.6 else None, 0.525)
+    assert asked == pytest.approx([0.0, 0.45, 0.5625])
+    assert found.damping == pytest.approx(0.5625) and found.low == pytest.approx(0.5625 - 0.025)
+    assert found.high == pytest.approx(0.675)  # where the first that is too much is
+    found = bisect(lambda d: run_outs(d) if d <= 0.6 else None, 0.3)
+    assert found.damping is None and "still 0.483 ± 0.030, beyond 0.3, and runs with more come to no" in found.said
+
+
+def test_without_a_result_at_no_damping_nothing_is_found():
+    found = bisect(lambda d: Estimate(1.0, float("nan"), 0.0, 1), 0.5)
+    assert found.damping is None and "without damping fewer than two runs" in found.said
