@@ -1,6 +1,7 @@
 """`repose study damping`: which local damping D meets a run-out, and what D does that the quasistatic solver does
 without."""
 
+from itertools import pairwise
 from pathlib import Path
 
 from compare.batch import Job, Outcome
@@ -138,6 +139,10 @@ def _calibrated(found, wanted, rows, directory) -> dict:
         figures.append(figure("damping.png", caption))
     if found.damping is not None and (farthest := known["R_max"].get(found.damping)):
         text.append(f"There the farthest point, the paper's measure, ends at R_max = {farthest.said()}.")
+    for (less, far), (more, near) in pairwise(sorted(known["R_max"].items())):
+        if far.mean >= wanted > near.mean:
+            other = less + (far.mean - wanted) / (far.mean - near.mean) * (more - less)
+            text.append(f"By R_max the target would be met at about D = {other:.2g}, on a straight line between means.")
     columns = ["D", "n", "R_995", "R_max", "at rest"]
     table = [
         [row["damping"], row["R_995"].n if row["R_995"] else 0, *(row[name] and row[name].said() for name in MEASURES),
