@@ -8,6 +8,8 @@ import re
 from pathlib import Path
 from statistics import mean
 
+from compare.calibration import bisect
+from compare.ensembles import Estimate
 from compare.experiments import measured_runout
 from mpm.theory import eq6
 
@@ -185,6 +187,32 @@ def gpu() -> str:
     return markdown([*columns, "float64", "microseconds a step"], rows)
 
 
+def damping() -> str:
+    """docs/paper.md: the D that meets a run-out, by bisection over committed ensembles."""
+    rows = []
+    everything = rows_of("damping_cpu.csv")
+    for target in dict.fromkeys(row["target"] for row in everything):
+        known = {float(row["damping"]): row for row in everything if row["target"] == target and row["damping"]}
+        found = bisect(lambda value, known=known: measured(known[value], "R_995"), float(target))
+        there = known[found.damping]
+        shown = [measured(there, measure).said() for measure in ("R_995", "R_max")]
+        interval = f"{found.low:.3f} to {found.high:.3f}"
+        rows.append(
+            [f"{float(target):.3f}", f"{found.damping:.3f}", interval, *shown, f"{100 * float(there['damped']):.0f} %"]
+        )
+    columns = ["target", "D", "its interval", "R_995 there", "R_max there", "of gravity's work goes into damping"]
+    return markdown(columns, rows)
+
+
+def measured(row: dict[str, str], measure: str) -> Estimate | None:
+    """The estimate that a row of a study's table tells; None where no run came to a result."""
+    count = int(row[f"{measure}_n"])
+    if count < 2:
+        return None
+    mean, half = float(row[measure]), float(row[f"{measure}_half"])
+    return Estimate(mean, half / Estimate(0.0, 1.0, count - 1.0, count).half, count - 1.0, count)
+
+
 LADDER, TWENTY = "explicit_ladder_h200.csv", "explicit_twenty_h200.csv"
 IMPLICIT = "implicit_collapses_cpu.csv"
 TABLES = {
@@ -196,6 +224,7 @@ TABLES = {
     "regularisation": regularisation,
     "speed-error": speed_error,
     "gpu": gpu,
+    "damping": damping,
 }
 
 if __name__ == "__main__":

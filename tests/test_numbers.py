@@ -201,3 +201,12 @@ def test_what_the_page_on_speed_says_of_run_outs():
         assert (run_out, newton) == (f"{r(row):.3f}", row["newton_iterations"])
         _, run_out = numbers(page, f"| explicit, D = 0.4 | {cells:g} | # -> # |")
         assert run_out == f"{EXPLICIT[0.5, 0.4, cells]:.3f}"
+
+
+def test_what_the_page_on_the_paper_says_of_damping():
+    page, of_target = "docs/paper.md", [row for row in rows_of("damping_cpu.csv") if row["target"] == "1.119"]
+    farthest = sorted((float(row["R_max"]), float(row["damping"])) for row in of_target if row["damping"])
+    met = np.interp(1.119, *zip(*farthest, strict=True))
+    stands(page, "By the farthest point, the paper's measure, it would be about D = #:", met)
+    (implicit,) = [row for row in of_target if not row["damping"]]
+    stands(page, "which has no D, ends at # ± #.", r(implicit), float(implicit["R_995_half"]))
