@@ -120,16 +120,16 @@ def rows_of(tables) -> list[dict[str, str]]:
 def limits(options):
     """Limits of R_995 over the grid, and float32 over float64, of each case with two realisations or more."""
     from compare.convergence import ensemble_limit
-    from compare.ensembles import estimate, relative
+    from compare.ensembles import estimate, paired
 
-    found: dict[tuple[str, ...], dict[tuple[str, float], list[float]]] = {}
+    found: dict[tuple[str, ...], dict[tuple[str, float], dict[str, float]]] = {}
     for row in rows_of(options.tables):
         if row["R_995"]:
             case = tuple(row[key] for key in CASE if key not in ("cells", "precision", "realisation"))
             at = (row["precision"], float(row["cells"]))
-            found.setdefault(case, {}).setdefault(at, []).append(float(row["R_995"]))
+            found.setdefault(case, {}).setdefault(at, {})[row["realisation"]] = float(row["R_995"])
     for case, values in found.items():
-        known, lines = {at: estimate(runs) for at, runs in values.items()}, []
+        known, lines = {at: estimate(runs.values()) for at, runs in values.items()}, []
         for precision in sorted({precision for precision, _ in known}, reverse=True):
             cells = sorted(count for at, count in known if at == precision)
             if len(cells) >= 3:
@@ -138,8 +138,9 @@ def limits(options):
                     f"{precision}, {', '.join(f'{count:g}' for count in cells[-3:])} cells per r0: {limit.said}"
                 )
         for count in sorted(count for precision, count in known if precision == "float32"):
-            if ("float64", count) in known:
-                change = relative(known["float32", count], known["float64", count])
+            single, double = (values.get((precision, count), {}) for precision in ("float32", "float64"))
+            both = sorted(single.keys() & double.keys())
+            if change := paired((single[one] for one in both), (double[one] for one in both)):
                 lines.append(f"float32 over float64, {count:g} cells per r0: {change.said('+.2%')}")
         if lines:
             print("\n  ".join([" ".join(filter(None, case)), *lines]))

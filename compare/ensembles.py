@@ -88,6 +88,16 @@ def relative(a: Estimate, b: Estimate) -> Estimate:
     return _combined(ratio - 1.0, a, abs(a.standard_error / b.mean), b, abs(ratio * b.standard_error / b.mean))
 
 
+def paired(values: Iterable[float | None], others: Iterable[float | None]) -> Estimate | None:
+    """values/others - 1 of runs from the same starts, in the same order; pairs of which one failed (None) are left out.
+
+    A change that hardly matters leaves a collapse from one start where it was, so that pairs tell it much more closely
+    than the means of both ensembles do.
+    """
+    pairs = zip(values, others, strict=True)
+    return estimate(one / other - 1.0 for one, other in pairs if one is not None and other is not None)
+
+
 def _combined(mean: float, a: Estimate, error_a: float, b: Estimate, error_b: float) -> Estimate:
     variance = error_a**2 + error_b**2
     parts = [(error_a**2, a.freedom), (error_b**2, b.freedom)]

@@ -5,7 +5,7 @@ from statistics import median
 
 from compare.batch import Job, Outcome, Workers
 from compare.convergence import EnsembleLimit, ensemble_limit
-from compare.ensembles import SETS, Estimate, Part, estimate, flat, joined, relative, run_ensembles
+from compare.ensembles import SETS, Estimate, Part, estimate, flat, joined, paired, relative, run_ensembles
 from compare.metrics import deposit, profile, profile_distance
 from compare.plots.reports import draw_cost, draw_profiles
 from compare.report.page import refuse_another, write_table
@@ -90,7 +90,8 @@ def study_error(
     base = scene.material.young
     first = [outcomes[0] for outcomes in ensembles]
     checks = [*_checks(rows, plain, limits), stiffness_check(rows, base)]
-    write_table([flat(row, ESTIMATES) for row in rows], directory)
+    table = [flat({key: value for key, value in row.items() if key != "each"}, ESTIMATES) for row in rows]
+    write_table(table, directory)
     everything = [one for outcomes in ensembles for one in outcomes]
     return {
         "about": about_what,
@@ -109,7 +110,7 @@ def study_error(
         "provenance": about(everything, command),
         "failed": failures(everything, [one.job.name for one in everything]),
         "limits": {solver: vars(limit) for solver, limit in limits.items()},
-        "rows": [flat(row, ESTIMATES) for row in rows],
+        "rows": table,
     }
 
 
@@ -133,6 +134,7 @@ def _row(job: Job, outcomes: list[Outcome]) -> dict:
         "precision": scene.explicit.precision if job.mode == "explicit" else "float64",
         "failed": "; ".join(dict.fromkeys(one.reason for one in outcomes if not one.done)) or None,
         "R_995": estimate(one["R_995"] for one in summaries),
+        "each": [one.summary["R_995"] if one.done else None for one in outcomes],
         "R_max": estimate(one["R_max"] for one in summaries),
         "volume_gain": estimate(one["volume_error"] for one in deposits),
     }
@@ -183,10 +185,9 @@ def _checks(rows, plain, limits) -> list[dict]:
         for solver, limit in limits.items()
     ]
 
-    def judged(name, allowed, pairs):
+    def judged(name, allowed, changes):
         parts = []
-        for where, one, other in pairs:
-            change = relative(one, other) if one and other else None
+        for where, change in changes:
             parts.append(Part(where, change, -allowed, allowed, change.said("+.1%") if change else "a run failed"))
         holds, cases = joined(parts)
         found = check(
@@ -195,17 +196,20 @@ def _checks(rows, plain, limits) -> list[dict]:
         checks.append(found)
 
     def at(family, cells):
-        return next(r["R_995"] for r in rows if (r["family"], r["cells"], r["changed"]) == (family, cells, ""))
+        return next(r["each"] for r in rows if (r["family"], r["cells"], r["changed"]) == (family, cells, ""))
 
-    pair = [("implicit over explicit", _finest(plain, "implicit"), _finest(plain, "explicit"))]
-    judged("solvers agree on their finest grids", SOLVERS_AGREE, pair)
+    finest = [_finest(plain, solver) for solver in ("implicit", "explicit")]
+    apart = relative(*finest) if all(finest) else None
+    judged("solvers agree on their finest grids", SOLVERS_AGREE, [("implicit over explicit", apart)])
     single = [row for row in plain if row["family"] == "explicit, float32"]
-    pairs = [(f"{row['cells']:g} cells", row["R_995"], at("explicit", row["cells"])) for row in single]
-    judged("float32 gives the run-out of float64", PRECISION_AGREES, pairs)
+    changes = [(f"{row['cells']:g} cells", paired(row["each"], at("explicit", row["cells"]))) for row in single]
+    judged("float32 gives the run-out of float64", PRECISION_AGREES, changes)
     for solver, of in (("explicit", "cfl"), ("implicit", "reach")):
         varied = [row for row in rows if row["solver"] == solver and row["changed"].startswith(of)]
-        pairs = [(f"{of} {r['changed'].removeprefix(of)}", r["R_995"], at(solver, r["cells"])) for r in varied]
-        judged(f"{solver} run-out hardly depends on the step", STEP_AGREES, pairs)
+        changes = [
+            (f"{of} {row['changed'].removeprefix(of)}", paired(row["each"], at(solver, row["cells"]))) for row in varied
+        ]
+        judged(f"{solver} run-out hardly depends on the step", STEP_AGREES, changes)
     return checks
 
 
