@@ -11,7 +11,7 @@ from compare.bench.model import EXCHANGES, SHARED_PLANES, Link, Machine, Plan, d
 from compare.bench.scaling import AGREES, this_machine, wider
 from compare.bench.worker import column
 from explicit.solver import ExplicitSolver
-from mpm.domains import Halo, cut_plan, owner_of
+from mpm.domains import Halo, cut_plan, owner_of, shared_pencils
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 
 ROOT = Path(__file__).parents[2]
@@ -32,7 +32,11 @@ class Together:
 
 def halos(pencils):
     """The halo of each rank, from what each stores."""
-    return [Halo(mine, int((mine[:, 3] - mine[:, 2]).sum()), Together(r, pencils)) for r, mine in enumerate(pencils)]
+    ranks = [Together(rank, pencils) for rank in range(len(pencils))]
+    return [
+        Halo(shared_pencils(mine, comm), int((mine[:, 3] - mine[:, 2]).sum()), comm)
+        for mine, comm in zip(pencils, ranks, strict=True)
+    ]
 
 
 def stored_by(columns, height):
