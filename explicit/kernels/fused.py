@@ -26,7 +26,7 @@ from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
 
 # Threads a block: with 128 and not Warp's 256, 25,120 points are spread over all multiprocessors of a large GPU, and
-# more threads fit into one where each takes 96 or 128 registers.
+# more threads fit into one where each takes 100 registers or more.
 WARP = 32
 BLOCK = 4 * WARP
 

@@ -124,8 +124,8 @@ def reductions(real):
         for k, v in enumerate("abc")
     )
 
-    # What reductions cost goes with the sectors of 32 bytes that an instruction of a warp touches: eight where four lanes
-    # add the numbers of one node, 32 where each lane adds a number to a node of its own.
+    # The cost of reductions goes with the sectors of 32 bytes that an instruction of a warp touches: eight where four
+    # lanes add the numbers of one node, 32 where each lane adds a number to a node of its own.
     @wp.func_native(f"""
         #if !defined(__CUDA_ARCH__) && WP_TILE_BLOCK_DIM < 32
         for (int q = 0; q < 4; ++q) {{
