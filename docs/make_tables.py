@@ -171,6 +171,19 @@ def speed_error() -> str:
     return markdown(["solver", "cells per r0", "R_995", "off its finest"], rows)
 
 
+def scaling() -> str:
+    """docs/speed.md: the explicit solver on MPI ranks, measured and by the model."""
+    rows = []
+    for row in rows_of("scaling_cpu.csv"):
+        many = int(row["ranks"]) > 1
+        over = [f"{float(row[key]):.2f}" if many else "" for key in ("over_one_rank", "predicted_over_one_rank")]
+        shared = f"{int(row['shared']):,} of {int(row['nodes']):,}" if many else ""
+        rate = f"{float(row['point_steps_per_s']) / MILLION:.2f}"
+        rows.append([row["kind"], f"{int(row['points']):,}", row["ranks"], rate, *over, shared])
+    columns = ["scaling", "points", "ranks", "million point-steps/s", "over one rank", "by the model"]
+    return markdown([*columns, "of the nodes stored, shared"], rows)
+
+
 def gpu() -> str:
     """docs/speed.md: throughput of the explicit solver on a GPU."""
     found: dict[int, dict[str, float]] = {}
@@ -223,6 +236,7 @@ TABLES = {
     "creep": creep,
     "regularisation": regularisation,
     "speed-error": speed_error,
+    "scaling": scaling,
     "gpu": gpu,
     "damping": damping,
 }

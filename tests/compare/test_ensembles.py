@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from compare.batch import Job
+from compare.batch import Job, Workers
 from compare.ensembles import (
     Estimate,
     Part,
@@ -89,7 +89,7 @@ def test_realisations_are_one_job_from_several_random_starts():
 
 def test_one_realisation_is_refused(tmp_path):
     with pytest.raises(SceneError, match="realisations 1: must be >= 2"):
-        run_ensembles([], 1, tmp_path, 1, False, None)
+        run_ensembles([], 1, tmp_path, Workers(), False, None)
 
 
 def test_a_row_of_a_table_has_mean_half_and_number():
