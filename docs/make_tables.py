@@ -5,11 +5,13 @@ A table of a page stands between `<!-- table NAME: docs/make_tables.py -->` and 
 
 import csv
 import re
+from math import isfinite
 from pathlib import Path
 from statistics import mean
 
 from compare.calibration import bisect
-from compare.ensembles import Estimate
+from compare.convergence import ensemble_limit
+from compare.ensembles import Estimate, estimate
 from compare.experiments import measured_runout
 from mpm.theory import eq6
 
@@ -159,16 +161,51 @@ def regularisation() -> str:
     return markdown(["lambda0 = 0.5", "8 cells per r0", "16", "steps (8)", "Newton iterations (8)"], rows)
 
 
-def speed_error() -> str:
-    """docs/speed.md: how far each grid is from the solver's own finest one, lambda0 = 0.5."""
-    explicit = {at[2]: value for at, value in explicit_runs().items() if at[:2] == (0.5, DAMPED)}
-    implicit = {float(row["cells"]): float(row["R_995"]) for row in implicit_runs() if row["lambda0"] == "0.5"}
+def ensembles() -> dict[tuple[str, float, str], dict[float, list[dict[str, str]]]]:
+    """Rows of the ensembles by solver ("implicit", "D = 0.4", ...), aspect ratio and precision, of each resolution."""
+    found: dict[tuple[str, float, str], dict[float, list[dict[str, str]]]] = {}
+    for row in sorted(rows_of(ENSEMBLES), key=lambda row: (float(row["lambda0"]), row["damping"], float(row["cells"]))):
+        solver = f"D = {row['damping']}" if row["damping"] else "implicit"
+        of = found.setdefault((solver, float(row["lambda0"]), row["precision"]), {})
+        of.setdefault(float(row["cells"]), []).append(row)
+    return found
+
+
+def run_out(rows: list[dict[str, str]]) -> Estimate:
+    """R_995 of an ensemble."""
+    known = estimate(float(row["R_995"]) for row in rows)
+    assert known is not None
+    return known
+
+
+def ensemble_grid() -> str:
+    """docs/paper.md: run-outs of ensembles over the grid, and what they tend to."""
     rows = []
-    for cells in (8.0, 10.0, 16.0):
-        for solver, known in (("explicit, D = 0.4", explicit), ("implicit", implicit)):
-            off = known[cells] / known[max(known)] - 1.0
-            rows.append([solver, f"{cells:g}", f"{known[cells]:.3f}", percent(off)])
-    return markdown(["solver", "cells per r0", "R_995", "off its finest"], rows)
+    for (solver, ratio, precision), of in ensembles().items():
+        if precision != "float64":
+            continue
+        known = {cells: run_out(its) for cells, its in of.items()}
+        limit = ensemble_limit([1.0 / cells for cells in known], list(known.values()))
+        tends = "not converged"
+        if limit.known:
+            order = f"order {limit.order:.1f}" if isfinite(limit.order) else "no change seen"
+            tends = f"{limit.value:.3f} ({limit.low:.3f} to {limit.high:.3f}), {order}"
+        rows.append([f"{ratio:g}", solver, *(one.said() for one in known.values()), tends])
+    return markdown(["lambda0", "run", "5 cells per r0", "8", "10", "16", "tends to"], rows)
+
+
+def speed_error() -> str:
+    """docs/speed.md: what each grid costs and how far its ensemble is from that of the finest."""
+    rows = []
+    for (solver, ratio, precision), of in ensembles().items():
+        if precision != "float64" or solver == "D = 0.05":
+            continue
+        known, finest = {cells: run_out(its) for cells, its in of.items()}, max(of)
+        for cells, its in of.items():
+            off = f"{percent(known[cells].mean / known[finest].mean - 1.0)}" if cells < finest else ""
+            seconds = f"{mean(float(row['cpu_s']) for row in its):.1f}"
+            rows.append([f"{ratio:g}", solver, f"{cells:g}", known[cells].said(), off, seconds])
+    return markdown(["lambda0", "run", "cells per r0", "R_995", "off 16 cells", "CPU s"], rows)
 
 
 def scaling() -> str:
@@ -227,11 +264,12 @@ def measured(row: dict[str, str], measure: str) -> Estimate | None:
 
 
 LADDER, TWENTY = "explicit_ladder_h200.csv", "explicit_twenty_h200.csv"
-IMPLICIT = "implicit_collapses_cpu.csv"
+IMPLICIT, ENSEMBLES = "implicit_collapses_cpu.csv", "ensembles_cpu.csv"
 TABLES = {
     "reproduces": reproduces,
     "paper": paper,
     "paper-grid": paper_grid,
+    "ensemble-grid": ensemble_grid,
     "implicit": implicit,
     "creep": creep,
     "regularisation": regularisation,

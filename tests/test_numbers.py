@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
+from compare.ensembles import estimate
 from compare.experiments import experiments, measured_runout
 from mpm.theory import eq6, eq6_printed
 
@@ -18,6 +19,7 @@ rows_of, plain = TABLES["rows_of"], TABLES["plain"]
 EXPLICIT = TABLES["explicit_runs"]()  # (lambda0, D, cells per r0): R_995
 IMPLICIT = {(float(row["lambda0"]), float(row["cells"])): row for row in TABLES["implicit_runs"]()}
 TWENTY = {(float(row["lambda0"]), float(row["damping"])): row for row in TABLES["twenty"]()}
+ENSEMBLES = TABLES["ensembles"]()  # (run, lambda0, precision): {cells per r0: rows}
 ASPECTS = (0.5, 1.0, 2.0, 4.0)
 
 
@@ -190,10 +192,60 @@ def test_what_the_page_on_the_implicit_solver_says_does_not_matter():
     stands(page, "ends # and # % farther", *lifted)
 
 
+def test_what_is_said_of_ensembles():
+    known = {at: {cells: TABLES["run_out"](rows).mean for cells, rows in of.items()} for at, of in ENSEMBLES.items()}
+    seconds = {
+        (*at, cells): float(np.mean([float(row["cpu_s"]) for row in rows]))
+        for at, of in ENSEMBLES.items()
+        for cells, rows in of.items()
+    }
+
+    def off(solver, ratio, cells):
+        of = known[solver, ratio, "float64"]
+        return percent(of[cells] / of[16.0])[0]
+
+    def cost(solver, ratio, cells):
+        return seconds[solver, ratio, "float64", cells]
+
+    page = "docs/speed.md"
+    said = (
+        "to come within # % of its own run at 16 cells, at lambda0 = 1, it needs 8 cells and # s, the implicit one 10 "
+    )
+    said += "cells and # s; at lambda0 = 0.5 it is # % off with 10 cells and # s, the implicit one # % with 10 and # s"
+    _, *rest = (float(number) for number in numbers(page, said))
+    values = [cost("D = 0.4", 1.0, 8.0), cost("implicit", 1.0, 10.0), off("D = 0.4", 0.5, 10.0)]
+    values += [cost("D = 0.4", 0.5, 10.0), off("implicit", 0.5, 10.0), cost("implicit", 0.5, 10.0)]
+    assert rest == pytest.approx(values, abs=0.051)
+    nearest = off("D = 0.4", 1.0, 8.0), off("implicit", 1.0, 10.0)
+    assert max(nearest) < 2.3
+    said = "at lambda0 = 1 it is # % from its own run at 16 cells after # s of one core, the implicit one # % after # s"
+    given = [float(number) for number in numbers("README.md", said)]
+    assert given == pytest.approx([nearest[0], values[0], nearest[1], values[1]], abs=0.051)
+    powers = [
+        np.log(cost(solver, ratio, 16.0) / cost(solver, ratio, 10.0)) / np.log(1.6)
+        for solver in ("implicit", "D = 0.4")
+        for ratio in (0.5, 1.0)
+    ]
+    assert np.round(powers[:2]) == pytest.approx(5)
+    assert 3 < min(powers[2:]) < max(powers[2:]) < 4
+    apart = [known["D = 0.4", ratio, "float64"][16.0] / known["implicit", ratio, "float64"][16.0] for ratio in (0.5, 1)]
+    stands(page, "at 16 cells they are # and # % apart", *percent(*apart))
+    page = "docs/paper.md"
+    moved = []
+    for (solver, ratio, precision), of in ENSEMBLES.items():
+        for cells, rows in of.items() if precision == "float32" else ():
+            other = {row["realisation"]: r(row) for row in ENSEMBLES[solver, ratio, "float64"][cells]}
+            moved.append(estimate(100 * (r(row) / other[row["realisation"]] - 1) for row in rows))
+    worst = max(moved, key=lambda one: abs(one.mean) + one.half)
+    stands(page, "it moves R_995 by at most # ± # %", abs(worst.mean), worst.half)
+    everything = rows_of("ensembles_cpu.csv")
+    gain = max(abs(float(row["volume_ratio"]) - 1) for row in everything)
+    stands(page, "lose or gain at most # % of their volume", 100 * gain)
+    stands(page, "no cell holds more than # points", max(float(row["most_points_in_a_cell"]) for row in everything))
+
+
 def test_what_the_page_on_speed_says_of_run_outs():
     page = "docs/speed.md"
-    apart = r(IMPLICIT[0.5, 20.0]) / EXPLICIT[0.5, 0.4, 20.0]
-    stands(page, "What the two differ by on fine grids, # %", -percent(apart)[0])
     for cells in (8.0, 10.0):
         row = IMPLICIT[0.5, cells]
         said = f"| implicit | {cells:g} | # -> # | rest -> rest | # -> # |"
