@@ -47,7 +47,7 @@ def test_a_study_on_ranks_is_refused(monkeypatch):
     [
         (("compare", "column_small"), "compare.comparison.compare_solvers", 2),
         (("study", "error", "column_small", "--jobs", "2"), "compare.studies.error.study_error", Workers(2, 2)),
-        (("study", "paper"), "compare.studies.paper.study_paper", Workers(1, 2)),
+        (("study", "paper"), "compare.studies.paper.study.study_paper", Workers(2, 2)),
     ],
 )
 def test_studies_and_comparisons_hand_ranks_on(four_cores, monkeypatch, tmp_path, arguments, module, passed):
