@@ -135,7 +135,7 @@ def run_all(jobs: list[Job], directory: Path, workers: Workers, force: bool, mon
         raise SceneError(list(dict.fromkeys(refused)))
     waiting = list(range(len(jobs)))
     active: dict[int, tuple[Path, subprocess.Popen]] = {}
-    with _alone_in(directory) as lock:
+    with _alone_in(directory) as lock, _killed_as_by_ctrl_c():
         monitor.start(jobs)
         try:
             while waiting or active:
@@ -168,6 +168,20 @@ def run_all(jobs: list[Job], directory: Path, workers: Workers, force: bool, mon
                 process.wait()
             monitor.stop()
     return outcomes
+
+
+@contextmanager
+def _killed_as_by_ctrl_c():
+    """Take `kill` for Ctrl-C: runs then save their state and are not left behind."""
+    try:
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    except ValueError:  # only the main thread is told of signals
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 @contextmanager

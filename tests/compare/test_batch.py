@@ -106,7 +106,8 @@ def test_a_process_that_dies_is_a_failed_run_and_is_tried_again(tmp_path, monkey
     assert run_all([job()], tmp_path / "runs", Workers(), False, Quiet())[0].done
 
 
-def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_path):
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "kill"])
+def test_an_interrupt_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_path, by):
     """A study is interrupted as its run has passed a checkpoint; its end is that of a run that was not."""
     # Two calls at once in one folder would write over each other.
     settings = ("grid.cell=0.25", "explicit.until=6.0", "output.every=0.5", "output.vtk=false")
@@ -121,7 +122,7 @@ def test_ctrl_c_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_p
         time.sleep(0.02)
     with pytest.raises(SceneError, match="another study"):
         run_all([job()], tmp_path / "runs", Workers(), False, Quiet())
-    study.send_signal(signal.SIGINT)
+    study.send_signal(by)
     _, err = study.communicate(timeout=60)
     assert "the same command goes on" in err
     assert not (found[0].parent / "summary.json").exists()
