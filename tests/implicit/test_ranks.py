@@ -101,7 +101,7 @@ def test_a_collapse_is_that_of_one_rank(collapsed, tmp_path, ranks):
     assert b["R_995"] == pytest.approx(a["R_995"], rel=0.015)
     assert b["h_inf"] == pytest.approx(a["h_inf"], rel=0.005)
     assert b["nodes_stored_start"] == a["nodes_stored_start"]
-    assert crossed(many, ranks) > 10
+    assert crossed(many, ranks) > 0
 
 
 def crossed(results, ranks) -> int:
