@@ -10,6 +10,7 @@ import warp as wp
 from compare.hard.case import Finding, hard_case
 from mpm.body import build
 from mpm.devices import KERNEL_OPTIONS, start_warp
+from mpm.domains import Halo
 from mpm.drucker_prager import Constants, drucker_prager
 from mpm.errors import NumericalError
 from mpm.load import load_scene
@@ -137,6 +138,7 @@ class FinitePoint(Point):
 
     def __init__(self, constants: Material | Constants, pressure=0.0):
         """At rest under `pressure` [Pa], in a scene's material or with its constants."""
+        from implicit._dolfinx import MPI
         from implicit.kernels import points
         from implicit.kernels.layout import OUTSIDE, STENCIL, mat33, real, vec3, vec6
         from implicit.volume import Volume
@@ -162,7 +164,8 @@ class FinitePoint(Point):
         state = {"theta": [-pressure / self.bulk], "jacobian": [1.0], "mean": [-pressure], "eps_p_eqv": [0.0]}
         self.state = SimpleNamespace(count=1, volume=1.0, **{name: array(v, real) for name, v in state.items()})
         self.b_e = array([IDENTITY], mat33)
-        self.volume_law = Volume(self.state, weights, nodes, 8, nodes, held, self.material)
+        alone = Halo([], 8, MPI.COMM_SELF)
+        self.volume_law = Volume(self.state, weights, nodes, alone, nodes, held, self.material)
         moves = [array(np.zeros((1, 3)), vec3) for _ in range(2)]
         self.stencils = [nodes, weights.reach, weights.weight]
         self.changed = [moves[0], self.state.mean, self.state.theta, self.state.eps_p_eqv, moves[1]]
