@@ -30,6 +30,7 @@ RESULTS, CHECKPOINT, SUMMARY = "results.h5", "checkpoint.h5", "summary.json"
 PLOTS = ("morphology.png", "profile.png", "history.png")
 _SNAPSHOT_STORAGE = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 _HISTORY_CHUNK = 1024  # rows
+_ROWS = "rows"  # attribute of the history: how many of its rows are whole
 _BOOKKEEPING = 1 << 16  # bytes that HDF5 may need beside the arrays that are written
 
 
@@ -173,11 +174,16 @@ class Results:
                 column = history[name]
                 column.resize(len(column) + len(rows), axis=0)
                 column[-len(rows) :] = [row[name] for row in rows]
+            file.flush()
+            # Counted once they are in the file: a kill between two columns leaves whole rows.
+            history.attrs.modify(_ROWS, len(history["time"]))
 
     def history(self) -> dict[str, np.ndarray]:
         """Every history column, float64, shape [row_count]."""
         with self._reading() as file:
-            return {name: column[()] for name, column in file["history"].items()}
+            history = file["history"]
+            count = min([int(history.attrs.get(_ROWS, 2**62)), *map(len, history.values())])
+            return {name: column[:count] for name, column in history.items()}
 
     def truncate_after(self, time: float) -> None:
         """Go back to `time` [s]: later snapshots and history rows go, and so does the summary."""
@@ -185,8 +191,10 @@ class Results:
         with self._writing() as file:
             for name in np.array(list(file["snapshots"]))[later]:
                 del file["snapshots"][name]
+            kept = history["time"] <= time if history else np.zeros(0, bool)
+            file["history"].attrs.modify(_ROWS, int(kept.sum()))
             for name, column in history.items():
-                rows = column[history["time"] <= time]
+                rows = column[kept]
                 file["history"][name].resize(rows.shape)
                 file["history"][name][...] = rows
             for name in ("finished", "summary"):

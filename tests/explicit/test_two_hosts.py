@@ -25,7 +25,9 @@ exec ip netns exec "$name" unshare --uts sh -c "hostname $name; $*"
 
 
 def command(*words):
-    done = subprocess.run(list(map(str, words)), capture_output=True, text=True, timeout=LONGEST)
+    # Without what an MPI that other tests have started in this process left in its environment behind Python's back.
+    env = dict(os.environ)
+    done = subprocess.run(list(map(str, words)), capture_output=True, text=True, timeout=LONGEST, env=env)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

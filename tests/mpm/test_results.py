@@ -11,7 +11,7 @@ import pytest
 
 from mpm.errors import SceneError
 from mpm.load import load_scene
-from mpm.results import Results
+from mpm.results import RESULTS, Results
 
 SCENE = load_scene("column_small")
 OTHER = load_scene("elastic_bar")
@@ -96,6 +96,20 @@ def test_history_appends_rows_in_order(run):
     assert set(history) == {"time", "KE"}
     np.testing.assert_array_equal(history["time"], [0.0, 0.1, 0.2])
     np.testing.assert_array_equal(history["KE"], [1.0, 2.0, 3.0])
+
+
+@pytest.mark.parametrize("longer", ["time", "KE"])
+def test_a_kill_between_two_columns_leaves_whole_rows(run, longer):
+    run.append_history([{"time": 0.0, "KE": 1.0}, {"time": 0.1, "KE": 2.0}])
+    with h5py.File(run.directory / RESULTS, "a") as file:
+        file["history"][longer].resize(3, axis=0)  # the row itself was not written any more
+    for _ in range(2):
+        history = run.history()
+        assert (history["time"].tolist(), history["KE"].tolist()) == ([0.0, 0.1], [1.0, 2.0])
+        run.truncate_after(0.1)
+    run.append_history([{"time": 0.2, "KE": 3.0}])
+    history = run.history()
+    assert (history["time"].tolist(), history["KE"].tolist()) == ([0.0, 0.1, 0.2], [1.0, 2.0, 3.0])
 
 
 @pytest.mark.parametrize("row", [{"time": 1.0}, {"time": 1.0, "KE": 0.0, "more": 0.0}])
