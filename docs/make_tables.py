@@ -221,6 +221,15 @@ def scaling() -> str:
     return markdown([*columns, "of the nodes stored, shared"], rows)
 
 
+def implicit_ranks() -> str:
+    """docs/speed.md: the implicit solver on MPI ranks, runs in turn."""
+    found: dict[str, list[dict[str, str]]] = {}
+    for row in rows_of("implicit_ranks_cpu.csv"):
+        found.setdefault(row["ranks"], []).append(row)
+    rows = [[ranks, ", ".join(row["wall_s"] for row in its), its[0]["linear"]] for ranks, its in found.items()]
+    return markdown(["ranks", "s", "sweeps of GMRES"], rows)
+
+
 def gpu() -> str:
     """docs/speed.md: throughput of the explicit solver on a GPU."""
     found: dict[int, dict[str, float]] = {}
@@ -275,6 +284,7 @@ TABLES = {
     "regularisation": regularisation,
     "speed-error": speed_error,
     "scaling": scaling,
+    "implicit-ranks": implicit_ranks,
     "gpu": gpu,
     "damping": damping,
 }

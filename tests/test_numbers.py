@@ -244,6 +244,15 @@ def test_what_is_said_of_ensembles():
     stands(page, "no cell holds more than # points", max(float(row["most_points_in_a_cell"]) for row in everything))
 
 
+def test_what_two_ranks_of_the_implicit_solver_gain():
+    of = {n: [row for row in rows_of("implicit_ranks_cpu.csv") if row["ranks"] == n] for n in ("1", "2")}
+    gains = [float(a["wall_s"]) / float(b["wall_s"]) for a, b in zip(of["1"], of["2"], strict=True)]
+    said = "Two ranks are # times as fast as one (median of the three pairs; # to #)"
+    stands("docs/speed.md", said, float(np.median(gains)), min(gains), max(gains))
+    heavier = 100 * (float(of["2"][0]["most_points_over_mean"]) - 1)
+    stands("docs/speed.md", "and # % more points on one of the ranks", heavier)
+
+
 def test_what_the_page_on_speed_says_of_run_outs():
     page = "docs/speed.md"
     for cells in (8.0, 10.0):
