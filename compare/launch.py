@@ -32,6 +32,8 @@ OPEN_MPI = {
     "OMPI_ALLOW_RUN_AS_ROOT": "1",
     "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1",
 }
+# Ranks on one host need no network, whose search for a way Open MPI 5 comments on where it finds none.
+ON_THIS_HOST = {"OMPI_MCA_btl": "^tcp"}
 LEFT_BY_MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
 RULE = "-----"  # starts the lines between which a launcher speaks of itself
 STOPPED_EARLY = (128 + signal.SIGUSR1, -signal.SIGUSR1)  # exit codes where Ctrl-C came before anything listened to it
@@ -142,8 +144,9 @@ def call(ranks: int, function: Callable, *arguments) -> Any:
             return value
     if code == INTERRUPTED:
         raise KeyboardInterrupt
-    why = said.ranks[-1:] or said.launcher
-    raise ChildProcessError(f"the ranks ended with exit code {code}: {' '.join(''.join(why).split())}")
+    killed = f"a rank was killed by signal {code - 128}" if code > 128 else ""
+    why = killed or " ".join("".join(said.ranks[-1:] or said.launcher).split())
+    raise ChildProcessError(f"the ranks ended with exit code {code}: {why}")
 
 
 class Said(threading.Thread):
@@ -191,7 +194,7 @@ def _environment(env) -> dict[str, str]:
     """`env` for ranks: where MPI ran in a process above this one, without what it left there for its own."""
     if env.keys() & {"PMIX_RANK", "OMPI_COMM_WORLD_RANK"}:
         env = {name: value for name, value in env.items() if not name.startswith(LEFT_BY_MPI)}
-    return {**env, **ONE_THREAD, **OPEN_MPI}
+    return {**ON_THIS_HOST, **env, **ONE_THREAD, **OPEN_MPI}
 
 
 def _answer(asked: Path, answer: Path):

@@ -15,7 +15,11 @@ from mpm.results import Results
 ADDRESSES = {"a": "10.77.0.1", "b": "10.77.0.2"}
 LONGEST = 300  # seconds: nothing hangs
 SETTINGS = ("--set", "explicit.until=0.1", "--set", "output.every=0.05", "--set", "output.vtk=false")
-MAIN = "import socket; print('a rank on', socket.gethostname(), flush=True); from compare.cli.main import main; main()"
+# At one go, so that what two ranks say is not mixed.
+MAIN = (
+    "import os, socket; os.write(1, f'a rank on {socket.gethostname()}\\n'.encode());"
+    "from compare.cli.main import main; main()"
+)
 # In place of ssh: Open MPI calls it with a host and the words of a command for a shell there.
 AGENT = """#!/bin/sh
 case $1 in {b}) name={name_b} ;; *) exit 1 ;; esac
