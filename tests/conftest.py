@@ -1,4 +1,6 @@
-"""What tests share: a solver built from a scene with overrides, and run to a time."""
+"""What tests share: a solver built from a scene with overrides, and run to a time; the ranks that were started."""
+
+import os
 
 import pytest
 
@@ -30,3 +32,21 @@ def run_to():
             yield solver.time
 
     return march
+
+
+@pytest.fixture
+def ranks_below():
+    """`ranks_below(pid)`: process numbers of the ranks whose launcher is a child of the process `pid`."""
+
+    def find(pid: int) -> list[int]:
+        below = {}
+        for path in os.listdir("/proc"):
+            if path.isdecimal():
+                try:
+                    with open(f"/proc/{path}/stat") as file:
+                        below.setdefault(int(file.read().rpartition(")")[2].split()[1]), []).append(int(path))
+                except OSError:
+                    continue
+        return sorted(rank for launcher in below.get(pid, []) for rank in below.get(launcher, []))
+
+    return find

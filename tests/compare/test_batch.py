@@ -217,7 +217,7 @@ def test_a_solver_that_takes_one_rank_has_one_in_a_batch_of_ranks(monkeypatch, t
 
 
 @needs_mpi
-def test_a_run_whose_rank_is_killed_is_a_failed_run(tmp_path):
+def test_a_run_whose_rank_is_killed_is_a_failed_run(tmp_path, ranks_below):
     """Its log ends with what the launcher has to say; what the run said last is more use."""
     long = Job("a", "column_small", ("explicit.until=60.0", "output.every=0.05", "output.vtk=false"), "explicit")
     killed = []
@@ -251,16 +251,3 @@ def test_ctrl_c_saves_a_run_on_ranks_and_the_same_call_goes_on(tmp_path):
     (resumed,) = run_all([one], tmp_path, Workers(ranks=2), False, Quiet())
     assert resumed.done and resumed.folder == folder
     assert resumed.summary["sim_time"] == pytest.approx(6.0)
-
-
-def ranks_below(pid: int) -> list[int]:
-    """Process numbers of the ranks whose launcher is a child of `pid`."""
-    below = {}
-    for path in os.listdir("/proc"):
-        if path.isdecimal():
-            try:
-                with open(f"/proc/{path}/stat") as file:
-                    below.setdefault(int(file.read().rpartition(")")[2].split()[1]), []).append(int(path))
-            except OSError:
-                continue
-    return sorted(rank for launcher in below.get(pid, []) for rank in below.get(launcher, []))

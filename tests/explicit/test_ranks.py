@@ -102,10 +102,10 @@ def test_ctrl_c_saves_a_checkpoint_from_which_any_number_of_ranks_goes_on(alone,
     np.testing.assert_allclose(a["R_995"][:common], b["R_995"][:common], rtol=0, atol=1e-9)
 
 
-def test_a_killed_rank_ends_all_and_the_checkpoint_is_whole(tmp_path):
+def test_a_killed_rank_ends_all_and_the_checkpoint_is_whole(tmp_path, ranks_below):
     folder = tmp_path / "run"
     process = running(folder, 3)
-    os.kill(ranks_of(process)[-1], signal.SIGKILL)
+    os.kill(ranks_below(process.pid)[-1], signal.SIGKILL)
     said = process.communicate(timeout=LONGEST)[1]
     assert process.returncode != 0
     assert "a rank was killed" in said and "resume" in said
@@ -185,16 +185,3 @@ def wait_for(happened, process):
         assert process.poll() is None, process.stderr and process.stderr.read()
         assert time.monotonic() - started < LONGEST
         time.sleep(0.05)
-
-
-def ranks_of(process) -> list[int]:
-    """Process numbers of the ranks that `process` has started."""
-    below = {}
-    for path in os.listdir("/proc"):
-        if path.isdecimal():
-            try:
-                with open(f"/proc/{path}/stat") as file:
-                    below.setdefault(int(file.read().rpartition(")")[2].split()[1]), []).append(int(path))
-            except OSError:
-                continue
-    return sorted(rank for launcher in below[process.pid] for rank in below.get(launcher, []))

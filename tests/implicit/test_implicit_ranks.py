@@ -204,24 +204,11 @@ main()
     assert np.isfinite(Results.open(tmp_path / "run").read_checkpoint()["x"]).all()
 
 
-def test_a_killed_rank_ends_all_and_the_checkpoint_is_whole(tmp_path):
+def test_a_killed_rank_ends_all_and_the_checkpoint_is_whole(tmp_path, ranks_below):
     folder = tmp_path / "run"
     process = running(folder, 2, SIX_CELLS)
-    os.kill(ranks_of(process)[-1], signal.SIGKILL)
+    os.kill(ranks_below(process.pid)[-1], signal.SIGKILL)
     said = process.communicate(timeout=LONGEST)[1]
     assert process.returncode != 0
     assert "a rank was killed" in said and "resume" in said
     assert np.isfinite(Results.open(folder).read_checkpoint()["x"]).all()
-
-
-def ranks_of(process) -> list[int]:
-    """Process numbers of the ranks that `process` has started."""
-    below = {}
-    for path in os.listdir("/proc"):
-        if path.isdecimal():
-            try:
-                with open(f"/proc/{path}/stat") as file:
-                    below.setdefault(int(file.read().rpartition(")")[2].split()[1]), []).append(int(path))
-            except OSError:
-                continue
-    return sorted(rank for launcher in below[process.pid] for rank in below.get(launcher, []))
