@@ -173,6 +173,7 @@ def sorted_lines(lines):
     """Each line with whether the launcher says it, of itself; the rules between which it does are left out."""
     quoting = False
     for line in lines:
+        line = line.replace("\0", "")  # Open MPI 5 may send one ahead of the line before an abort
         if line.startswith(RULE):
             quoting = not quoting
         else:

@@ -179,10 +179,11 @@ def _wait(requests, ranks, comm):
     since, told, all_done = time.monotonic(), False, type(requests[0]).Testall
     while not all_done(requests):
         if not told and time.monotonic() - since > PATIENCE:
-            told = True
             late = sorted({rank for rank, request in zip(ranks, requests, strict=True) if not request.Test()})
-            whom = " and ".join(f"rank {rank}" for rank in late) or "messages that have just arrived"
-            print(f"rank {comm.rank} waits for {whom}, for {PATIENCE:.0f} s now", file=sys.stderr, flush=True)
+            if late:  # none: the last message has just arrived
+                told = True
+                whom = " and ".join(f"rank {rank}" for rank in late)
+                print(f"rank {comm.rank} waits for {whom}, for {PATIENCE:.0f} s now", file=sys.stderr, flush=True)
 
 
 def shared_pencils(pencils, comm) -> list[tuple[int, np.ndarray]]:

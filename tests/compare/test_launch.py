@@ -91,7 +91,7 @@ def test_what_mpi_left_behind_does_not_reach_the_ranks():
 
 
 def test_lines_of_the_launcher_are_told_from_those_of_ranks():
-    said = ["a\n", "-----\n", "mpiexec noticed\n", "-----\n", "b\n"]
+    said = ["a\n", "-----\n", "mpiexec noticed\n", "-----\n", "\0b\n"]
     assert list(sorted_lines(said)) == [("a\n", False), ("mpiexec noticed\n", True), ("b\n", False)]
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from mpm import domains
 from mpm.domains import cut_plan, owner_of
 
 
@@ -40,3 +41,37 @@ def test_a_cut_runs_across_the_longer_side():
     columns = np.array([[i, j] for i in range(20) for j in range(4)])
     cut = cut_plan(columns, np.ones(len(columns)), 2)
     assert (cut.axis, cut.at, cut.low, cut.high) == (0, 10, 0, 1)
+
+
+class Message:
+    """A request that has arrived when it is looked at for the `arrives`th time."""
+
+    def __init__(self, arrives):
+        self.looks_left = arrives
+
+    def Test(self):
+        self.looks_left -= 1
+        return self.looks_left <= 0
+
+    @classmethod
+    def Testall(cls, requests):
+        return all([request.Test() for request in requests])
+
+
+class Comm:
+    rank = 0
+
+
+@pytest.mark.parametrize(
+    ("arrives", "told"),
+    [
+        ((1, 1), ""),
+        ((1, 4), "rank 0 waits for rank 2, for 0 s now\n"),
+        ((4, 4), "rank 0 waits for rank 1 and rank 2, for 0 s now\n"),
+        ((2, 2), ""),  # late, but there when it is asked which are missing
+    ],
+)
+def test_who_is_waited_for_is_said_once_and_nobody_where_all_have_come(capsys, monkeypatch, arrives, told):
+    monkeypatch.setattr(domains, "PATIENCE", 0.0)
+    domains._wait([Message(count) for count in arrives], [1, 2], Comm)
+    assert capsys.readouterr().err == told
