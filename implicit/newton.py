@@ -109,8 +109,8 @@ class _Context:
         operator.assemble()
 
 
-def solve(system: System, tolerance: float, linear_tolerance: float) -> NewtonResult:
-    """Find the increment at which the residual's norm is below `tolerance` [N], from u = 0.
+def solve(system: System, tolerance: float, linear_tolerance: float, start: np.ndarray | None = None) -> NewtonResult:
+    """Find the increment at which the residual's norm is below `tolerance` [N], from `start` (count, 3) [m] or u = 0.
 
     `linear_tolerance` [-]: relative residual of the linear solves. Not converged where the line search finds no
     descent, or not within 25 iterations.
@@ -126,6 +126,7 @@ def solve(system: System, tolerance: float, linear_tolerance: float) -> NewtonRe
         snes.setJacobian(context.tangent, operator, matrix)
         snes.setLineSearchPreCheck(context.shorten)
         _configure(snes, linear_tolerance)
+        x.array[:] = 0.0 if start is None else start[: system.owned].ravel()
         return _solve(snes, context, x, tolerance)
     finally:
         for thing in (snes, operator, matrix, x, f):  # petsc4py would keep them: a gigabyte in a few hundred steps
@@ -170,7 +171,6 @@ def _solve(snes, context, x, tolerance) -> NewtonResult:
     iterations = linear_iterations = 0
     residuals = []
     stages = [(blend, PRECONDITIONERS[0]) for blend in RESCUES]
-    x.set(0.0)
     while stages:
         context.blend, preconditioner = stages.pop(0)
         _precondition(snes.getKSP().getPC(), preconditioner)

@@ -22,7 +22,6 @@ REST_DRIFT = 1.5e-3  # advance of R_995 over REST_WINDOW of pseudo-time, over R_
 LEAST_RUNOUT = 0.1  # for what hardly runs out
 REST_STEPS = 3  # steps over which that advance is taken at least: steps may be longer than the window
 FIRST = 0.3  # first step, in sqrt(cell/g)
-WANTED_ITERATIONS = 9  # of Newton in a step: fewer and the next one is longer, more and it is shorter
 SHORTEST = 1e-4  # step over its cap, below which a run that still fails is given up
 
 
@@ -33,8 +32,9 @@ class Regularisation:
     `drag` [-]: on M u/dt^2. `momentum` [-]: share of the velocity carried from step to step; 0 quasistatic, 1 full
     inertia. `ghost` [-]: face ghost penalty over rho g h0, in steps up to sqrt(cell/g)/2; in longer ones it falls as
     1/dt. `viscosity` [-]: overstress per plastic shear strain of a step, over rho g h0. `reach` [-]: distance in
-    cells that all but 2 % of the points may go in a step. `cap` [-]: longest step, in sqrt(cell/g). `stiffest` [-]:
-    Young's modulus over rho g h0 up to which a cohesionless material keeps its own moduli (see `limit_stiffness`).
+    cells that all but 2 % of the points may go in a step. `cap` [-]: longest step, in sqrt(cell/g). `iterations` [-]:
+    of Newton in a step; after fewer the next step is longer, after more it is shorter. `stiffest` [-]: Young's modulus
+    over rho g h0 up to which a cohesionless material keeps its own moduli (see `limit_stiffness`).
     """
 
     drag: float = 1.0
@@ -43,6 +43,7 @@ class Regularisation:
     viscosity: float = 0.1
     reach: float = 0.3
     cap: float = 12.0
+    iterations: float = 6.0
     stiffest: float = 600.0
 
     def of_step(self, body: Body, dt: float) -> dict[str, float]:
@@ -83,11 +84,12 @@ class StepLength:
     def __init__(self, regularisation: Regularisation, cell: float, gravity: float):
         self.longest = regularisation.cap * math.sqrt(cell / gravity)
         self.reach = regularisation.reach * cell
+        self.wanted_iterations = regularisation.iterations
         self.dt = min(FIRST * math.sqrt(cell / gravity), self.longest)
 
     def accepted(self, moved: float, iterations: int):
         """A step succeeded in which points moved `moved` [m] (a high quantile)."""
-        growth = min(max(math.sqrt(WANTED_ITERATIONS / max(iterations, 1)), 0.7), 1.5)
+        growth = min(max(math.sqrt(self.wanted_iterations / max(iterations, 1)), 0.7), 1.5)
         wanted = self.reach / moved if moved > 0 else growth
         self.dt = min(self.dt * min(max(wanted, 0.5), growth), self.longest)
 

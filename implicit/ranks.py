@@ -54,8 +54,17 @@ class Domain(Part, ImplicitSolver):
         return super()._new_system()
 
     def shared_state(self) -> dict:
-        """What `state` holds that is the same on all ranks: all but the points."""
-        return {name: value for name, value in self.state().items() if name not in Points.SAVED}
+        """What `state` holds that is the same on all ranks: all but points and nodes."""
+        return {name: value for name, value in self.state().items() if name not in (*Points.SAVED, *self.NODAL)}
+
+    def nodes_of_all(self) -> dict[str, np.ndarray] | None:
+        """`node_place` and `node_velocity` of all ranks, on the first one; what ranks have in common is there once."""
+        parts = self.comm.gather((self.node_place, self.node_velocity))
+        if parts is None:
+            return None
+        places, velocities = map(np.concatenate, zip(*parts, strict=True))
+        places, first = np.unique(places, axis=0, return_index=True)
+        return dict(zip(self.NODAL, (places, velocities[first]), strict=True))
 
     def restore(self, state: dict):
         """Take this rank's part of a state of the whole body."""
@@ -121,7 +130,8 @@ class RankedSolver(Whole):
 
     def state(self) -> dict:
         """Everything a restart needs, of the whole body; `restore` takes it back on any number of ranks."""
-        return {name: getattr(self.material_points, name).numpy() for name in Points.SAVED} | self.part.shared_state()
+        points = {name: getattr(self.material_points, name).numpy() for name in Points.SAVED}
+        return points | self.ask("nodes_of_all") | self.part.shared_state()
 
     def restore(self, state: dict):
         """Take over a state made by `state`, on this or another number of ranks."""

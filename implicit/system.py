@@ -66,6 +66,7 @@ class System:
     def _number(self, background):
         """Number the nodes to solve for, in the order of the lattice, and look them up for each point."""
         window, dofs, owner = background.dof_of.shape, background.dof_of, background.owner
+        self._corner = background.corner
         corner = wp.vec3i(*(int(c) for c in background.corner))
         touched = self._zeros(window, wp.int32)
         w = self.weights
@@ -220,6 +221,21 @@ class System:
         """Euclidean norm of a nodal field (count, 3), or (owned, 3), over the nodes of all ranks."""
         own = field[: self.owned].ravel()
         return math.sqrt(self.comm.allreduce(float(own.dot(own))))
+
+    @property
+    def places(self) -> np.ndarray:
+        """Lattice indices (count, 3) int of the nodes, the same in every system."""
+        return self.place_in_lattice + self._corner
+
+    def field_of(self, places: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """The nodal field (count, 3) that has `values` (m, 3) at the nodes `places` (m, 3) of an earlier system, and
+        nothing at others and where walls hold."""
+        field, at = np.zeros((self.count, 3)), places - self._corner
+        inside = ((at >= 0) & (at < self._numbers.shape)).all(axis=1)
+        number = self._numbers[tuple(at[inside].T)]
+        field[number[number != OUTSIDE]] = values[inside][number != OUTSIDE]
+        field[self.held] = 0.0
+        return field
 
     def kept(self, own: np.ndarray) -> np.ndarray:
         """The nodal field (count, 3) of which `own` (3 owned,) are the values of the nodes that this rank owns."""
