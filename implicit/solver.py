@@ -22,8 +22,8 @@ MOVED_QUANTILE = 0.98  # of the points' displacement in a step: single grains in
 LOOSEST, TIGHTEST, REDUCTION = 1e-3, 1e-5, 1e-2
 # Of a linear solve, relative. With 2e-2 a collapse takes 7 % fewer Newton iterations and 40 % more sweeps.
 LINEAR_TOLERANCE = 1e-1
-# Share of the last step's increment, stretched to the length of this one, from which Newton starts: what flows flows on.
-# From u = 0 a collapse takes twice to three times as many iterations (benchmarks/README.md).
+# Share of the last step's increment, stretched to this one's length, from which Newton starts: what flows flows on.
+# From u = 0 a collapse takes two to three times as many iterations (benchmarks/README.md).
 GOES_ON = 0.7
 STATIC_TOLERANCE = 1e-9  # likewise of a load step, where nothing corrects it afterwards
 STATIC_LINEAR_TOLERANCE = 1e-6

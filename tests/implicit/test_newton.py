@@ -136,16 +136,16 @@ def test_the_last_step_tells_newton_where_to_start_and_not_where_to_end(steps):
 
 def test_a_nodal_field_is_found_again_in_the_next_system():
     """At nodes that both systems have it is the same, at new ones nothing; walls hold their components."""
-    solver, system = falling_column(3)
+    _, system = falling_column(3)
     places = system.places
-    values = places + [0.25, 0.5, 0.75]
+    values = places + np.array([0.25, 0.5, 0.75])
     order = np.random.default_rng(1).permutation(len(places))[:-5]
     found = system.field_of(places[order], values[order])
     expected = np.where(system.held, 0.0, values)
     expected[np.setdiff1d(np.arange(len(places)), order)] = 0.0
     assert found == pytest.approx(expected)
     assert system.held[np.any(found != values, axis=1) & (found != 0).any(axis=1)].any()
-    assert not np.any(system.field_of(places + [0, 0, 1000], values))
+    assert not np.any(system.field_of(places + np.array([0, 0, 1000]), values))
 
 
 def test_a_start_at_which_a_point_would_collapse_is_not_taken():
