@@ -55,11 +55,12 @@ def fused_kernels(real):
     goes_on, plan_step, follow_plan = clock_functions.goes_on, clock_functions.plan_step, clock_functions.follow_plan
     balance, record_work, mapped_velocity = grid.balance, grid.record_work, grid.mapped_velocity
     node_mask, free_components, near_walls = grid.node_mask, grid.free_components, grid.near_walls
-    point_load, flip, gather_velocity, watch = (
+    point_load, flip, gather_velocity, watch, accuse = (
         transfer.point_load,
         transfer.flip,
         transfer.gather_velocity,
         transfer.watch,
+        transfer.accuse,
     )
     trial_stress, given_by_node, returned = stress.trial_stress, stress.given_by_node, stress.returned
     scaled, add_scaled, read = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "load"))
@@ -177,6 +178,7 @@ def fused_kernels(real):
         pencils: Pencils,
         clock: wp.array(dtype=float64),
         points: Points,
+        order: wp.array(dtype=wp.int32),
         count: wp.int32,
         node_velocity: wp.array(dtype=vec4),
         node_increment: wp.array(dtype=vec4),
@@ -199,7 +201,9 @@ def fused_kernels(real):
                 wp.atomic_add(ledger, WORK_DECAY, p & (ledger.shape[1] - 1), float64(work))
             points.v[p] = vp
             points.carry[p] = carried
-            watch(setup, p, vp, carried, dt, speed, fault)
+            wrong = watch(setup, vp, carried, dt, speed)
+            if wrong > 0:
+                accuse(order[p], wrong, fault)
         m = setup.mass
         mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
         for a in range(3):
@@ -218,6 +222,7 @@ def fused_kernels(real):
         pencils: Pencils,
         clock: wp.array(dtype=float64),
         points: Points,
+        order: wp.array(dtype=wp.int32),
         node_mapped: wp.array(dtype=vec4),
         node_volume: wp.array(dtype=vec4),
         fault: wp.array(dtype=wp.int32),
@@ -252,7 +257,7 @@ def fused_kernels(real):
             lz = add_scaled(sx[a], slope, lz)
         trial, m_d, inverted = trial_stress(setup, material, points.tau[p], dt * lx, dt * ly, dt * lz)
         if inverted > 0:
-            wp.atomic_max(fault, INVERTED, p + 1)
+            wp.atomic_max(fault, INVERTED, order[p] + 1)
         points.tau[p] = trial
         for a in range(3):
             for b in range(3):
