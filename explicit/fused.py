@@ -2,9 +2,10 @@
 
 import warp as wp
 
-from explicit.kernels.fused import BLOCK, WARP, fused_kernels
+from explicit.kernels.fused import BLOCK, fused_kernels
 from explicit.kernels.layout import POINT_ARRAYS
 from explicit.kernels.order import order_kernels
+from explicit.kernels.warps import WARP
 
 STEPS_PER_GRAPH = 10
 
@@ -69,7 +70,7 @@ class FusedStep:
             self._command(k.update_nodes, nodes, setup, s.walls, pencils, plan, clock, s.speed, s.grid.pencil_of, *sums,
                           *ready, self.node_volume, ledger),
             self._command(k.g2p2g, whole, setup, pencils, clock, points, order, n, *ready, ledger, *watched),
-            self._command(k.strain_to_nodes, n, setup, s.material, s.walls, pencils, clock, points, order,
+            self._command(k.strain_to_nodes, whole, setup, s.material, s.walls, pencils, clock, points, order, n,
                           s.node_mapped, self.node_volume, s.fault),
         ]  # fmt: skip
         law = (setup, s.material, pencils, clock, plan, points, n, self.node_volume, ledger, *watched)

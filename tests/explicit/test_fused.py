@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from explicit.fused import FusedStep
 from explicit.kernels import layout as K
 from explicit.solver import POINT_ARRAYS, ExplicitSolver
 from mpm.body import build
@@ -102,6 +103,21 @@ def test_the_order_of_points_does_not_matter(order, precision):
     name, settings = SCENES["column"]
     settings = (*settings, f"explicit.precision={precision}")
     phases, fused = pair(body_of(name, settings, order=order))
+    march(phases)
+    march(fused)
+    assert difference(phases, fused) < ROUND_OFF[precision]
+
+
+@PRECISIONS
+def test_points_need_not_be_sorted(monkeypatch, precision):
+    """Where those of a warp come from anywhere, few of them share their nodes."""
+
+    def shuffle(step):
+        step.order.assign(shuffled(step.solver.x))
+
+    monkeypatch.setattr(FusedStep, "sort", shuffle)
+    name, settings = SCENES["column"]
+    phases, fused = pair(body_of(name, (*settings, f"explicit.precision={precision}")))
     march(phases)
     march(fused)
     assert difference(phases, fused) < ROUND_OFF[precision]
