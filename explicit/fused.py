@@ -63,6 +63,8 @@ class FusedStep:
         setup, clock, plan, ledger, watched = s.setup, s.clock, s.plan, s.ledger, (s.speed, s.fault)
         points, order = self.points, self.order
         sums, ready = (self.sum_momentum, self.sum_force), (s.node_momentum, s.node_force, s.node_mapped)
+        self._take_points = self._command(self.sort_kernels.take_points, n, order, s.arrays, points)
+        self._put_back = self._command(self.sort_kernels.put_back, n, order, points, s.arrays)
         self._start = self._command(k.start_steps, whole, setup, pencils, clock, plan, points, n, *watched, *sums)
         at_nodes = (s.walls, pencils, s.grid.pencil_of, s.node_momentum, s.node_mapped, s.energy)
         self.grid_energy = self._command(k.grid_energy, nodes, *at_nodes)
@@ -90,14 +92,14 @@ class FusedStep:
 
     def start(self):
         """What comes before the first step of a batch."""
-        self._copy(self.sort_kernels.take_points, self.solver.arrays, self.points)
+        self._take_points.launch()
         self.sum_momentum.zero_()
         self.sum_force.zero_()
         self._start.launch()
 
     def finish(self):
         """What comes after the last step of a batch: the solver's arrays are up to date."""
-        self._copy(self.sort_kernels.put_back, self.points, self.solver.arrays)
+        self._put_back.launch()
 
     def sort(self):
         """Order the points by the nodes that their stencils start at, those of one cell as in the body."""
@@ -105,9 +107,6 @@ class FusedStep:
         inputs = [s.x, s.setup.inv_cell, s.pencils, self.cell_of, self._order]
         wp.launch(self.sort_kernels.number_cells, n, inputs=inputs, device=self.device)
         wp.utils.radix_sort_pairs(self.cell_of, self._order, n, end_bit=s.grid.capacity.bit_length())
-
-    def _copy(self, kernel, of, to):
-        wp.launch(kernel, self.solver.points, inputs=[self.order, of, to], device=self.device)
 
     def _graph(self, name: str, phases: list):
         if name not in self._graphs:
