@@ -8,6 +8,7 @@ from explicit.kernels.order import order_kernels
 from explicit.kernels.warps import WARP
 
 STEPS_PER_GRAPH = 10
+SORT_BYTES = 16  # of a point: the cell it is sorted by and its number, both with as much room to sort them
 
 
 class FusedStep:
@@ -29,7 +30,7 @@ class FusedStep:
         self.points = solver.k.Points()
         for name in POINT_ARRAYS:
             setattr(self.points, name, wp.empty_like(getattr(solver, name)))
-        # Twice the points' number, as the sort needs.
+        # The first half of each counts, the sort needs the other.
         self.cell_of, self._order = (wp.zeros(2 * n, dtype=wp.int32, device=self.device) for _ in range(2))
         self.order = self._order[:n]
         nodes, k = solver.grid.capacity, solver.k
@@ -43,13 +44,6 @@ class FusedStep:
     def node_arrays(self) -> list[wp.array]:
         """Node arrays beside the solver's own."""
         return [self.sum_momentum, self.sum_force, self.node_volume]
-
-    @property
-    def bytes_per_point(self) -> int:
-        """Memory of a point beside the solver's own [bytes]: its copy, and what sorting takes."""
-        copied = (getattr(self.points, name) for name in POINT_ARRAYS)
-        state = sum(wp.types.type_size_in_bytes(array.dtype) for array in copied if array.size)
-        return state + 2 * 2 * wp.types.type_size_in_bytes(wp.int32)
 
     def _command(self, kernel, dim, *inputs):
         block = BLOCK if self.device.is_cuda else WARP  # the latter: Warp's block runtime on a CPU, in tests

@@ -11,7 +11,7 @@ import numpy as np
 import warp as wp
 
 from explicit.dials import Dials
-from explicit.fused import STEPS_PER_GRAPH, FusedStep
+from explicit.fused import SORT_BYTES, STEPS_PER_GRAPH, FusedStep
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
 from explicit.kernels.layout import POINT_ARRAYS, POINT_STATE
@@ -34,9 +34,9 @@ LEDGER_COLUMNS_CUDA = 256  # a power of two: points find theirs with a mask
 class ExplicitSolver:
     """Points and grid of one body on one device.
 
-    Point arrays, all (n,), also in `arrays` as kernels take them: `x`, `v`, `carry` vec3 [m, m/s], `tau` vec6 [Pa]
-    Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure, `dilated` [-]
-    plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
+    Point arrays, all (n,) in the body's order, also in `arrays` as kernels take them: `x`, `v`, `carry` vec3 [m, m/s],
+    `tau` vec6 [Pa] Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure,
+    `dilated` [-] plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
 
     `fused`: take steps in four launches (`explicit.fused`) in place of nine phases; so on a GPU, unless told otherwise.
     """
@@ -171,7 +171,7 @@ class ExplicitSolver:
         """Memory of one point's state [bytes]."""
         arrays = (getattr(self, name) for name in POINT_ARRAYS)
         state = sum(wp.types.type_size_in_bytes(array.dtype) for array in arrays if array.size)
-        return state + (self.fused_step.bytes_per_point if self.fused else 0)
+        return 2 * state + SORT_BYTES if self.fused else state  # a fused step has sorted copies
 
     @property
     def bytes_per_node(self) -> int:

@@ -133,6 +133,7 @@ def test_points_are_sorted_by_cell_and_put_back():
     order = fused.fused_step.order.numpy()
     np.testing.assert_array_equal(order, np.lexsort((np.arange(len(cell)), *cell.T[::-1])))
     assert order[lone] != lone
+    assert phases.bytes_per_point == 144 and fused.bytes_per_point == 2 * 144 + 16  # 18 numbers; what sorts them
     march(phases, 5)
     march(fused, 5)
     assert np.linalg.norm(fused.v.numpy() - phases.v.numpy(), axis=1).max() < 1e-12
