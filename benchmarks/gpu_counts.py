@@ -2,9 +2,10 @@
 
     python benchmarks/gpu_counts.py [--arch 90] [--label "four launches" --out benchmarks/results/gpu_counts.csv]
 
-A row a launch of a step, appended to the table: registers and local memory [bytes] of a thread, and how many reductions
-(`red`, `atom`) and bytes of loads and stores in global memory its code has, which is less than a thread does where
-there are loops. Registers need `cuobjdump` (pip install nvidia-cuda-cuobjdump).
+A row a launch of a step, appended to the table: registers and local memory [bytes] of a thread, shared memory [bytes]
+of a block, with what Warp and the driver keep there, and how many reductions (`red`, `atom`) and bytes of loads and
+stores in global memory its code has, which is less than a thread does where there are loops. Registers need
+`cuobjdump` (pip install nvidia-cuda-cuobjdump).
 """
 
 import argparse
@@ -32,7 +33,7 @@ def name_of(kernel) -> str:
 
 
 def step_of(real) -> list:
-    """The kernels of one step as a GPU takes it, in order."""
+    """The kernels of one step as a GPU takes it, in order; they are built for a CPU on the way, in blocks."""
     settings = ["grid.cell=0.25", f"explicit.precision={real.__name__}", "explicit.damping=0.05"]
     solver = ExplicitSolver(build(load_scene("column_0.5", settings)), "cpu", fused=True)
     return [launch.kernel for launch in solver.fused_step.phases]
@@ -75,14 +76,15 @@ def cuobjdump() -> str | None:
     return str(inside[0].locate())
 
 
-def resources(kernels, cubin: Path) -> list[tuple[int, int]]:
-    """Registers and bytes of local memory of a thread of each kernel in machine code."""
+def resources(kernels, cubin: Path) -> list[tuple[int, int, int]]:
+    """Registers and bytes of local memory of a thread, and bytes of shared memory of a block, of each kernel in machine
+    code."""
     text = subprocess.run([cuobjdump(), "-res-usage", cubin], capture_output=True, text=True, check=True).stdout
     used = []
     for kernel in kernels:
-        found = re.search(rf"__{name_of(kernel)}_\w+:\s+REG:(\d+) STACK:(\d+) SHARED:\d+ LOCAL:(\d+)", text)
-        registers, stack, local = map(int, found.groups())
-        used.append((registers, stack + local))
+        found = re.search(rf"__{name_of(kernel)}_\w+:\s+REG:(\d+) STACK:(\d+) SHARED:(\d+) LOCAL:(\d+)", text)
+        registers, stack, shared, local = map(int, found.groups())
+        used.append((registers, stack + local, shared))
     return used
 
 
@@ -93,13 +95,14 @@ def counts(real, arch: int):
         ptx = {module: compiled(module, arch, Path(folder), True).read_text() for module in modules(kernels)}
         cubins = {module: compiled(module, arch, Path(folder), False) for module in modules(kernels)}
         for kernel in kernels:
-            ((registers, local),) = resources([kernel], cubins[kernel.module])
+            ((registers, local, shared),) = resources([kernel], cubins[kernel.module])
             text = ptx_of(kernel, ptx[kernel.module])
             yield {
                 "precision": real.__name__,
                 "kernel": name_of(kernel),
                 "registers": registers,
                 "local_bytes": local,
+                "shared_bytes": shared,
                 "reductions": " ".join(f"{count} {kind}" for kind, count in reductions(text).items()),
                 "bytes": bytes_moved(text),
             }
@@ -119,6 +122,7 @@ def main():
     if cuobjdump() is None:
         parser.error("no cuobjdump in PATH; pip install nvidia-cuda-cuobjdump brings one")
     start_warp()
+    wp.config.enable_cpu_blocks = True
     code = {"step": options.label, "arch": options.arch}
     rows = [code | row for real in (wp.float32, wp.float64) for row in counts(real, options.arch)]
     for row in rows:

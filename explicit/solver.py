@@ -11,9 +11,10 @@ import numpy as np
 import warp as wp
 
 from explicit.dials import Dials
-from explicit.fused import STEPS_PER_GRAPH, FusedStep
+from explicit.fused import SORT_BYTES, STEPS_PER_GRAPH, FusedStep
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
+from explicit.kernels.layout import POINT_ARRAYS, POINT_STATE
 from explicit.kernels.sparse_grid import MARGIN
 from explicit.sparse_grid import SparseGrid
 from mpm.body import Body
@@ -28,16 +29,14 @@ STILL = 3e-4
 UNSEEN = 4.0
 MOST_STEPS = 200
 LEDGER_COLUMNS_CUDA = 256  # a power of two: points find theirs with a mask
-POINT_STATE = ("x", "v", "tau", "theta", "dilated", "eps_p_eqv")
-POINT_ARRAYS = (*POINT_STATE, "carry")
 
 
 class ExplicitSolver:
     """Points and grid of one body on one device.
 
-    Point arrays, all (n,), also in `arrays` as kernels take them: `x`, `v`, `carry` vec3 [m, m/s], `tau` vec6 [Pa]
-    Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure, `dilated` [-]
-    plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
+    Point arrays, all (n,) in the body's order, also in `arrays` as kernels take them: `x`, `v`, `carry` vec3 [m, m/s],
+    `tau` vec6 [Pa] Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure,
+    `dilated` [-] plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
 
     `fused`: take steps in four launches (`explicit.fused`) in place of nine phases; so on a GPU, unless told otherwise.
     """
@@ -170,8 +169,9 @@ class ExplicitSolver:
     @property
     def bytes_per_point(self) -> int:
         """Memory of one point's state [bytes]."""
-        arrays = (self.x, self.v, self.carry, self.tau, self.theta, self.dilated, self.eps_p_eqv)
-        return sum(wp.types.type_size_in_bytes(array.dtype) for array in arrays if array.size)
+        arrays = (getattr(self, name) for name in POINT_ARRAYS)
+        state = sum(wp.types.type_size_in_bytes(array.dtype) for array in arrays if array.size)
+        return 2 * state + SORT_BYTES if self.fused else state  # a fused step has sorted copies
 
     @property
     def bytes_per_node(self) -> int:
@@ -193,6 +193,8 @@ class ExplicitSolver:
         if self.grid.follow(self.x):
             self._allocate_nodes()
             self._record_step()
+        if self.fused:
+            self.fused_step.sort()
         wp.launch(self.k.reset_travel, 1, inputs=[self.clock], device=self.device)
         self.dials.forget()
         self.nodes_stored_max = max(self.nodes_stored_max, self.grid.stored)
@@ -250,6 +252,8 @@ class ExplicitSolver:
                 phase.launch()
                 wp.synchronize_device(self.device)
                 seconds[name].append(time.perf_counter() - start)
+            if self.fused:
+                self.fused_step.finish()
             self.dials.forget()
         self._check()
         return {name: float(np.median(each)) for name, each in seconds.items()}

@@ -5,8 +5,9 @@ step that was planned, takes what points have added to the sums, and leaves thes
 follows. Wall conditions and the pressure law are applied where points read nodes. `stress_to_nodes` ends a step of the
 points and adds them to the sums of the next, which its first thread plans.
 
-In no kernel does a thread write what another one reads: sums are reductions, the clock of the step under way and the
-plan of the next are two arrays. Loops over nodes are written out: what a loop indexes would go to local memory.
+Points are added to nodes by warps (`explicit.kernels.scatter`). Elsewhere no thread writes what another one of the
+kernel reads: the clock of the step under way and the plan of the next are two arrays. Loops over nodes that are read
+are written out: what a loop indexes would go to local memory.
 """
 
 import functools
@@ -17,17 +18,17 @@ import warp as wp
 from explicit.kernels.clock import clock_kernels
 from explicit.kernels.grid import grid_kernels
 from explicit.kernels.layout import DT, GRAVITY, INVERTED, KE_GRID, WORK_DECAY, layout
-from explicit.kernels.reductions import reductions
+from explicit.kernels.scatter import scatter
 from explicit.kernels.simd import simd
 from explicit.kernels.stress import stress_kernels
 from explicit.kernels.transfer import transfer_kernels
+from explicit.kernels.warps import WARP
 from mpm.devices import KERNEL_OPTIONS
 from mpm.drucker_prager import drucker_prager
 from mpm.gimp import gimp
 
 # Threads a block: with 128 and not Warp's 256, 25,120 points are spread over all multiprocessors of a large GPU, and
 # more threads fit into one where each takes 100 registers or more.
-WARP = 32
 BLOCK = 4 * WARP
 
 
@@ -55,53 +56,12 @@ def fused_kernels(real):
     goes_on, plan_step, follow_plan = clock_functions.goes_on, clock_functions.plan_step, clock_functions.follow_plan
     balance, record_work, mapped_velocity = grid.balance, grid.record_work, grid.mapped_velocity
     node_mask, free_components, near_walls = grid.node_mask, grid.free_components, grid.near_walls
-    point_load, flip, gather_velocity, watch = (
-        transfer.point_load,
-        transfer.flip,
-        transfer.gather_velocity,
-        transfer.watch,
-    )
+    flip, gather_velocity, watch, accuse = transfer.flip, transfer.gather_velocity, transfer.watch, transfer.accuse
     trial_stress, given_by_node, returned = stress.trial_stress, stress.given_by_node, stress.returned
-    scaled, add_scaled, read = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "load"))
-    add_pencil, add_first = reductions(real).add_pencil, reductions(real).add_first
-    stencil, reached = gimp(real).stencil, gimp(real).reached
+    add_scaled, read, stencil = simd(real).add_scaled, simd(real).load, gimp(real).stencil
+    sums = scatter(real)
+    add_point, add_momentum, add_volume = sums.add_point, sums.add_momentum, sums.add_volume
     zero, one, half = (wp.constant(real(value)) for value in (0.0, 1.0, 0.5))
-
-    @wp.func(module=name)
-    def nodes_reached(there: int, wxy: real, sz: vec3):
-        """How many nodes of a pencil of weight `wxy` along x and y a point reaches, none if it is not there."""
-        if there > 0 and wxy > zero:
-            return reached(sz)
-        return 0
-
-    @wp.func(module=name)
-    def add_point(
-        setup: Setup,
-        pencils: Pencils,
-        x: vec3,
-        v: vec3,
-        tau: vec6,
-        theta: real,
-        there: int,
-        sum_momentum: wp.array(dtype=vec4),
-        sum_force: wp.array(dtype=vec4),
-    ):
-        """Add a point to the nodes' sums, if it is there."""
-        i, j, k, sx, sy, sz, dx, dy, dz = stencil(x, setup.inv_cell)
-        carried, force_x, force_y, force_z, strain = point_load(setup, v, tau, theta)
-        for a in range(3):
-            for b in range(3):
-                wxy = sx[a] * sy[b]
-                flat = add_scaled(dx[a] * sy[b], force_x, add_scaled(sx[a] * dy[b], force_y, scaled(wxy, strain)))
-                steep = scaled(wxy, force_z)
-                load = scaled(wxy, carried)
-                n = node_of(pencils, i + a, j + b, k)
-                nodes = nodes_reached(there, wxy, sz)
-                add_pencil(sum_momentum, n, scaled(sz[0], load), scaled(sz[1], load), scaled(sz[2], load), nodes, 4)
-                f0 = add_scaled(sz[0], flat, scaled(dz[0], steep))
-                f1 = add_scaled(sz[1], flat, scaled(dz[1], steep))
-                f2 = add_scaled(sz[2], flat, scaled(dz[2], steep))
-                add_pencil(sum_force, n, f0, f1, f2, nodes, 4)
 
     @wp.kernel(module=name)
     def start_steps(
@@ -123,7 +83,7 @@ def fused_kernels(real):
         if goes_on(setup, clock, speed, fault) > 0:
             p = wp.min(thread, count - 1)
             x, v, tau, theta = points.x[p], points.v[p], points.tau[p], points.theta[p]
-            add_point(setup, pencils, x, v, tau, theta, int(thread < count), sum_momentum, sum_force)
+            add_point(setup, pencils, thread, count, x, v, tau, theta, sum_momentum, sum_force)
 
     @wp.kernel(module=name)
     def update_nodes(
@@ -177,6 +137,7 @@ def fused_kernels(real):
         pencils: Pencils,
         clock: wp.array(dtype=float64),
         points: Points,
+        order: wp.array(dtype=wp.int32),
         count: wp.int32,
         node_velocity: wp.array(dtype=vec4),
         node_increment: wp.array(dtype=vec4),
@@ -199,16 +160,10 @@ def fused_kernels(real):
                 wp.atomic_add(ledger, WORK_DECAY, p & (ledger.shape[1] - 1), float64(work))
             points.v[p] = vp
             points.carry[p] = carried
-            watch(setup, p, vp, carried, dt, speed, fault)
-        m = setup.mass
-        mv = vec4(m * vp[0], m * vp[1], m * vp[2], zero)
-        for a in range(3):
-            for b in range(3):
-                wxy = sx[a] * sy[b]
-                load = scaled(wxy, mv)
-                n = node_of(pencils, i + a, j + b, k)
-                nodes = nodes_reached(int(thread < count), wxy, sz)
-                add_pencil(node_mapped, n, scaled(sz[0], load), scaled(sz[1], load), scaled(sz[2], load), nodes, 3)
+            wrong = watch(setup, vp, carried, dt, speed)
+            if wrong > 0:
+                accuse(order[p], wrong, fault)
+        add_momentum(pencils, thread, count, i, j, k, sx, sy, sz, setup.mass * vp, node_mapped)
 
     @wp.kernel(module=name)
     def strain_to_nodes(
@@ -218,6 +173,8 @@ def fused_kernels(real):
         pencils: Pencils,
         clock: wp.array(dtype=float64),
         points: Points,
+        order: wp.array(dtype=wp.int32),
+        count: wp.int32,
         node_mapped: wp.array(dtype=vec4),
         node_volume: wp.array(dtype=vec4),
         fault: wp.array(dtype=wp.int32),
@@ -226,7 +183,8 @@ def fused_kernels(real):
         dt = real(clock[DT])
         if dt == zero:
             return
-        p = wp.tid()
+        thread = wp.tid()
+        p = wp.min(thread, count - 1)
         i, j, k, sx, sy, sz, dx, dy, dz = stencil(points.x[p], setup.inv_cell)
         near = near_walls(walls, i, j, k)
         none = vec4(zero, zero, zero, zero)
@@ -251,17 +209,11 @@ def fused_kernels(real):
             ly = add_scaled(sx[a], bent, ly)
             lz = add_scaled(sx[a], slope, lz)
         trial, m_d, inverted = trial_stress(setup, material, points.tau[p], dt * lx, dt * ly, dt * lz)
-        if inverted > 0:
-            wp.atomic_max(fault, INVERTED, p + 1)
-        points.tau[p] = trial
-        for a in range(3):
-            for b in range(3):
-                wxy = sx[a] * sy[b]
-                if wxy > zero:
-                    n = node_of(pencils, i + a, j + b, k)
-                    for c in range(3):
-                        if sz[c] > zero:
-                            add_first(node_volume, n + c, m_d * wxy * sz[c])
+        if thread < count:
+            points.tau[p] = trial
+            if inverted > 0:
+                wp.atomic_max(fault, INVERTED, order[p] + 1)
+        add_volume(pencils, thread, count, i, j, k, sx, sy, sz, m_d, node_volume)
 
     @wp.kernel(module=name)
     def stress_to_nodes(
@@ -307,7 +259,7 @@ def fused_kernels(real):
             points.theta[p] = theta
             points.x[p] = x
         if last == 0 and goes_on(setup, clock, speed, fault) > 0:
-            add_point(setup, pencils, x, points.v[p], tau, theta, int(thread < count), sum_momentum, sum_force)
+            add_point(setup, pencils, thread, count, x, points.v[p], tau, theta, sum_momentum, sum_force)
 
     @wp.kernel(module=name)
     def grid_energy(

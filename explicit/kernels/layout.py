@@ -29,6 +29,9 @@ LEDGER_ROWS = 4
 # energies of one instant [J], spread likewise
 KE_POINTS, KE_GRID, E_ELASTIC = range(3)
 ENERGY_ROWS = 3
+# point arrays (see `Points`), of which a restart needs the first
+POINT_STATE = ("x", "v", "tau", "theta", "dilated", "eps_p_eqv")
+POINT_ARRAYS = (*POINT_STATE, "carry")
 
 
 @functools.cache

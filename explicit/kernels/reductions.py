@@ -9,14 +9,18 @@ from types import SimpleNamespace
 
 import warp as wp
 
+from mpm.gimp import NODES_PER_AXIS
+
+NODES = NODES_PER_AXIS**3  # that a point reaches, a lane of a warp for each
+
 
 @functools.cache
 def reductions(real):
     """Return the functions for `real` (wp.float32 or wp.float64).
 
     Members: `raise_to(slots, i, value)`: slots[i] = max(slots[i], value) for numbers >= 0, NaN is passed over;
-    `add_pencil(nodes, n, a, b, c, reached, parts)`: a, b, c (vec4) to nodes n, n + 1, n + 2, of these the first
-    `reached`, of each the first `parts` components, those beyond being 0; all threads of a warp call it together;
+    `add_node(nodes, n, a)`: nodes[n] += a (vec4), from the first 27 lanes of a warp, all of which call it together; no
+    zeros are added;
     `add_first(nodes, n, value)`: the first component of nodes[n] += value.
     """
     vec4 = wp.types.vector(4, real)
@@ -66,82 +70,62 @@ def reductions(real):
     def red(address: str, value: str) -> str:
         return f'asm volatile("red.global.add.{suffix} [%0], %1;" :: "l"({address}), "{register}"({value}) : "memory");'
 
-    def by_fours(storage: str, lane: str, sync: str, add: str) -> str:
-        """Points hand over what they add in `storage`; then each four of them add one node of one of them at a time."""
+    def by_fours(storage: str, thread: str, sync: str, add: str) -> str:
+        """Lanes hand over what they add in `storage`; then each four of them add the numbers of one lane at a time."""
         return f"""
             {storage}
-            const int lane = {lane}, part = lane & 3;
-            for (int q = 0; q < 4; ++q) {{
+            const int lane = {thread}, part = lane & 3;
+            for (int q = 0; q < 4; ++q)
                 given[lane][q] = a[q];
-                given[lane][4 + q] = b[q];
-                given[lane][8 + q] = c[q];
-            }}
-            first[lane] = n;
-            reach[lane] = reached;
+            of[lane] = n;
             {sync}
-            if (part < parts) {{
-                #pragma unroll
-                for (int r = 0; r < 4; ++r) {{
-                    const int from = lane - part + r;
-                    #pragma unroll
-                    for (int k = 0; k < 3; ++k)
-                        if (k < reach[from]) {{
-                            {number}* at = &nodes.data[first[from] + k][part];
-                            const {number} value = given[from][4 * k + part];
-                            {add}
-                        }}
+            #pragma unroll
+            for (int from = lane >> 2; from < {NODES}; from += 8) {{
+                const {number} value = given[from][part];
+                {number}* at = &nodes.data[of[from]][part];
+                if (value != 0) {{
+                    {add}
                 }}
             }}
             {sync}
         """
 
-    row = 12 if single else 14  # numbers from one lane's to the next, so that fewer of them meet in a bank
     on_gpu = by_fours(
         f"""
-            constexpr int warps = WP_TILE_BLOCK_DIM / 32;
-            typedef {number} row[{row}];
-            __shared__ __align__(16) row given_all[warps][32];
-            __shared__ int first_all[warps][32], reach_all[warps][32];
-            row* given = given_all[threadIdx.x >> 5];
-            int *first = first_all[threadIdx.x >> 5], *reach = reach_all[threadIdx.x >> 5];
+            typedef {number} four[4];
+            __shared__ __align__(16) four given_all[WP_TILE_BLOCK_DIM];
+            __shared__ int of_all[WP_TILE_BLOCK_DIM];
+            four* given = given_all + (threadIdx.x & ~31);
+            int* of = of_all + (threadIdx.x & ~31);
         """,
         "threadIdx.x & 31",
         "__syncwarp();",
         red("at", "value"),
     )
     in_blocks = by_fours(
-        f"static {number} given[32][{row}]; static int first[32], reach[32];",
-        "WP_TILE_THREAD_IDX & 31",
+        f"static {number} given[32][4]; static int of[32];",
+        "WP_TILE_THREAD_IDX",
         "wp::tile_sync<WP_TILE_BLOCK_DIM>();",
         "*at += value;",
     )
-    at_once = "".join(
-        f"""
-            if ({k} < reached)
-                asm volatile("red.global.add.v4.f32 [%0], {{%1, %2, %3, %4}};" :: "l"(nodes.data + n + {k}),
-                    "f"({v}[0]), "f"({v}[1]), "f"({v}[2]), "f"({v}[3]) : "memory");
-        """
-        for k, v in enumerate("abc")
-    )
+    at_once = f"""
+        if ((threadIdx.x & 31) < {NODES} && (a[0] != 0 || a[1] != 0 || a[2] != 0 || a[3] != 0))
+            asm volatile("red.global.add.v4.f32 [%0], {{%1, %2, %3, %4}};"
+                :: "l"(nodes.data + n), "f"(a[0]), "f"(a[1]), "f"(a[2]), "f"(a[3]) : "memory");
+    """
 
     # The cost of reductions goes with the sectors of 32 bytes that an instruction of a warp touches: eight where four
     # lanes add the numbers of one node, 32 where each lane adds a number to a node of its own.
     @wp.func_native(f"""
-        #if !defined(__CUDA_ARCH__) && WP_TILE_BLOCK_DIM < 32
-        for (int q = 0; q < 4; ++q) {{
-            if (0 < reached) nodes.data[n][q] += a[q];
-            if (1 < reached) nodes.data[n + 1][q] += b[q];
-            if (2 < reached) nodes.data[n + 2][q] += c[q];
-        }}
-        #elif !defined(__CUDA_ARCH__)
+        #if !defined(__CUDA_ARCH__)
         {in_blocks}
         #elif {int(single)} && __CUDA_ARCH__ >= 900
-        {at_once if single else ""}
+        {at_once}
         #else
         {on_gpu}
         #endif
     """)
-    def add_pencil(nodes: wp.array(dtype=vec4), n: int, a: vec4, b: vec4, c: vec4, reached: int, parts: int): ...
+    def add_node(nodes: wp.array(dtype=vec4), n: int, a: vec4): ...
 
     @wp.func_native(f"""
         #if defined(__CUDA_ARCH__)
@@ -152,4 +136,4 @@ def reductions(real):
     """)
     def add_first(nodes: wp.array(dtype=vec4), n: int, value: real): ...
 
-    return SimpleNamespace(raise_to=raise_to, add_pencil=add_pencil, add_first=add_first)
+    return SimpleNamespace(raise_to=raise_to, add_node=add_node, add_first=add_first)

@@ -32,6 +32,7 @@ def transfer_kernels(real):
     scaled, add_scaled, gather, add = (getattr(simd(real), name) for name in ("scaled", "add_scaled", "gather", "add"))
     raise_to = reductions(real).raise_to
     zero, half, one = (wp.constant(real(value)) for value in (0.0, 0.5, 1.0))
+    not_finite, too_fast = wp.constant(1 << NOT_FINITE), wp.constant(1 << TOO_FAST)
 
     @wp.func(module=name)
     def point_load(setup: Setup, v: vec3, tau: vec6, theta: real):
@@ -87,23 +88,25 @@ def transfer_kernels(real):
         return moved, gained
 
     @wp.func(module=name)
-    def watch(
-        setup: Setup,
-        p: int,
-        v: vec3,
-        carried: vec3,
-        dt: real,
-        speed: wp.array(dtype=real),
-        fault: wp.array(dtype=wp.int32),
-    ):
-        """Record the speeds of point `p`, and what is wrong with them."""
+    def watch(setup: Setup, v: vec3, carried: vec3, dt: real, speed: wp.array(dtype=real)):
+        """Record the speeds of a point; more than 0 where something is wrong with them (see `accuse`)."""
         fastest = wp.max(wp.max(wp.abs(carried[0]), wp.abs(carried[1])), wp.abs(carried[2]))
         for axis in range(3):
             raise_to(speed, axis, wp.abs(v[axis]))
         raise_to(speed, CARRIED, fastest)
+        wrong = wp.int32(0)
         if not (wp.isfinite(wp.dot(v, v)) and wp.isfinite(wp.dot(carried, carried))):
-            wp.atomic_max(fault, NOT_FINITE, p + 1)
+            wrong = wrong | not_finite
         if fastest * dt > half * setup.cell:
+            wrong = wrong | too_fast
+        return wrong
+
+    @wp.func(module=name)
+    def accuse(p: int, wrong: wp.int32, fault: wp.array(dtype=wp.int32)):
+        """Report what `watch` found wrong with the body's point `p`."""
+        if (wrong & not_finite) > 0:
+            wp.atomic_max(fault, NOT_FINITE, p + 1)
+        if (wrong & too_fast) > 0:
             wp.atomic_max(fault, TOO_FAST, p + 1)
 
     @wp.kernel(module=name)
@@ -167,7 +170,9 @@ def transfer_kernels(real):
                     n = node_of(pencils, i + a, j + b, k)
                     for c in range(3):
                         add(node_mapped, n + c, scaled(sz[c], load))
-        watch(setup, p, vp, carried, dt, speed, fault)
+        wrong = watch(setup, vp, carried, dt, speed)
+        if wrong > 0:
+            accuse(p, wrong, fault)
 
     return SimpleNamespace(
         p2g=p2g,
@@ -176,4 +181,5 @@ def transfer_kernels(real):
         flip=flip,
         gather_velocity=gather_velocity,
         watch=watch,
+        accuse=accuse,
     )

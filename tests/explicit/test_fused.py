@@ -4,11 +4,13 @@ import numpy as np
 import pytest
 import warp as wp
 
+from explicit.fused import FusedStep
 from explicit.kernels import layout as K
 from explicit.solver import POINT_ARRAYS, ExplicitSolver
 from mpm.body import build
 from mpm.devices import start_warp
 from mpm.errors import NumericalError, StepRefused
+from mpm.gimp import HALF_LENGTH_IN_CELLS
 from mpm.load import load_scene
 from mpm.seed import seed
 
@@ -88,7 +90,7 @@ def test_a_fused_step_is_the_step(scene, precision):
 
 
 def by_cell(x):
-    return np.lexsort((x // 0.1).T)
+    return np.lexsort((x // 0.1).T[::-1])
 
 
 def shuffled(x):
@@ -104,6 +106,43 @@ def test_the_order_of_points_does_not_matter(order, precision):
     march(phases)
     march(fused)
     assert difference(phases, fused) < ROUND_OFF[precision]
+
+
+@PRECISIONS
+def test_points_need_not_be_sorted(monkeypatch, precision):
+    """Where those of a warp come from anywhere, few of them share their nodes."""
+
+    def shuffle(step):
+        step.order.assign(shuffled(step.solver.x))
+
+    monkeypatch.setattr(FusedStep, "sort", shuffle)
+    name, settings = SCENES["column"]
+    phases, fused = pair(body_of(name, (*settings, f"explicit.precision={precision}")))
+    march(phases)
+    march(fused)
+    assert difference(phases, fused) < ROUND_OFF[precision]
+
+
+def test_points_are_sorted_by_cell_and_put_back():
+    """At each fit by x, y, then z of the node that their stencils start at, and as in the body within a cell; after a
+    batch each is at its place in the body, where a fault finds it."""
+    body = body_of(*SCENES["column"], more=[[0.35, 0.35, 2.05]], order=shuffled)
+    lone = int(np.argmax(body.x[:, 2]))
+    phases, fused = pair(body)
+    cell = np.floor(fused.x.numpy() / 0.1 - HALF_LENGTH_IN_CELLS)
+    order = fused.fused_step.order.numpy()
+    np.testing.assert_array_equal(order, np.lexsort((np.arange(len(cell)), *cell.T[::-1])))
+    assert order[lone] != lone
+    assert phases.bytes_per_point == 144 and fused.bytes_per_point == 2 * 144 + 16  # 18 numbers; what sorts them
+    march(phases, 5)
+    march(fused, 5)
+    assert np.linalg.norm(fused.v.numpy() - phases.v.numpy(), axis=1).max() < 1e-12
+    for solver in (phases, fused):
+        v = solver.v.numpy().copy()
+        v[lone] = np.nan
+        solver.v.assign(v)
+        with pytest.raises(NumericalError, match=rf"point {lone}: its velocity is not finite"):
+            solver.advance_to(1.0)
 
 
 @PRECISIONS
@@ -194,6 +233,7 @@ def test_a_dropped_node_is_caught():
             mapped = fused.node_mapped.numpy()
             assert np.abs(mapped[lost, :3]).max() > 0
             mapped[lost, :3] = 0.0
+    fused.fused_step.finish()
     for _ in range(19):
         fused.step()
     assert phases.steps == fused.steps

@@ -1,4 +1,4 @@
-"""Sums and maxima that threads share agree with NumPy's, thread by thread and in blocks that work together."""
+"""Sums and maxima that threads share agree with NumPy's."""
 
 import numpy as np
 import pytest
@@ -16,18 +16,12 @@ def kernels(real):
     wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(module))
     vec4 = wp.types.vector(4, real)
     functions = reductions(real)
-    raise_to, add_pencil, add_first = functions.raise_to, functions.add_pencil, functions.add_first
+    raise_to, add_node, add_first = functions.raise_to, functions.add_node, functions.add_first
 
     @wp.kernel(module=module)
-    def add(
-        n: wp.array(dtype=int),
-        reached: wp.array(dtype=int),
-        parts: int,
-        values: wp.array2d(dtype=vec4),
-        nodes: wp.array(dtype=vec4),
-    ):
+    def add(n: wp.array(dtype=int), values: wp.array(dtype=vec4), nodes: wp.array(dtype=vec4)):
         p = wp.tid()
-        add_pencil(nodes, n[p], values[p, 0], values[p, 1], values[p, 2], reached[p], parts)
+        add_node(nodes, n[p], values[p])
 
     @wp.kernel(module=module)
     def others(
@@ -44,24 +38,19 @@ def kernels(real):
 
 
 @pytest.mark.parametrize("real", [wp.float32, wp.float64])
-@pytest.mark.parametrize("block", [1, 32])
-@pytest.mark.parametrize("parts", [3, 4])
-def test_three_nodes_of_a_pencil(monkeypatch, real, block, parts):
-    """Neighbours add to the same nodes and to others, to three, two or none of a pencil."""
-    monkeypatch.setattr(wp.config, "enable_cpu_blocks", block > 1)
+def test_a_node_of_each_lane(monkeypatch, real):
+    """The first 27 lanes of a warp add, to nodes of their own and to the same ones."""
+    monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
     vec4, add, _others = kernels(real)
-    dtype, rng = wp.dtype_to_numpy(real), np.random.default_rng(10 * block + parts)
-    n, reached = rng.integers(0, NODES - 2, THREADS), rng.choice([0, 2, 3], THREADS)
-    values = rng.normal(size=(THREADS, 3, 4)).astype(dtype)
-    values[..., parts:] = 0.0
+    dtype, rng = wp.dtype_to_numpy(real), np.random.default_rng(10)
+    n, values = rng.integers(0, NODES, THREADS), rng.normal(size=(THREADS, 4)).astype(dtype)
+    values[rng.uniform(size=values.shape) < 0.2] = 0.0
     before = rng.normal(size=(NODES, 4)).astype(dtype)
     nodes = wp.array(before, dtype=vec4, device="cpu")
-    arrays = [wp.array(each, dtype=int, device="cpu") for each in (n, reached)]
-    wp.launch(add, THREADS, inputs=[*arrays, parts, wp.array(values, dtype=vec4, device="cpu"), nodes], device="cpu",
-              block_dim=block)  # fmt: skip
-    expected = before.astype(float)
-    for k in range(3):
-        np.add.at(expected, (n + k)[reached > k], values[reached > k, k])
+    inputs = [wp.array(n, dtype=int, device="cpu"), wp.array(values, dtype=vec4, device="cpu"), nodes]
+    wp.launch(add, THREADS, inputs=inputs, device="cpu", block_dim=32)
+    expected, adds = before.astype(float), np.arange(THREADS) % 32 < 27
+    np.add.at(expected, n[adds], values[adds])
     np.testing.assert_allclose(nodes.numpy(), expected, rtol=0, atol=50 * np.finfo(dtype).eps)
 
 
