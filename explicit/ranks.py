@@ -17,6 +17,7 @@ from mpm.devices import find_device
 from mpm.domains import Halo, shared_pencils
 from mpm.geostatic import initial_strain
 from mpm.parts import Gathered, Part, Whole
+from mpm.stiffness import limit_bulk
 from mpm.watch import Look, look
 
 
@@ -24,7 +25,7 @@ class Domain(Part, ExplicitSolver):
     """The part of a body that one rank steps."""
 
     def __init__(self, body: Body, device, comm):
-        self.comm, self.whole = comm, body
+        self.comm, self.whole = comm, (body := limit_bulk(body))
         self.halo: Halo | None = None  # until nodes are stored
         self.ids = self.cut_anew(body.x)
         self.theta_start_of_all = initial_strain(body).sum(axis=1)
@@ -151,7 +152,7 @@ class RankedSolver(Whole):
     )
 
     def __init__(self, body: Body, device, comm):
-        super().__init__(domain, body, device.alias, comm)
+        super().__init__(domain, body := limit_bulk(body), device.alias, comm)
         self.theta_start = initial_strain(body).sum(axis=1)
         for name in POINT_STATE:
             setattr(self, name, Gathered(self, name))

@@ -227,6 +227,7 @@ class ExplicitRun(Run):
             "nodes_stored_start": solver.nodes_stored_start,
             "nodes_stored_max": solver.nodes_stored_max,
             "bytes_per_point": solver.bytes_per_point,
+            "bulk_used": solver.body.constants.bulk,
         }
 
     def memory_mb(self) -> float:

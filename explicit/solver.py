@@ -21,6 +21,7 @@ from mpm.body import Body
 from mpm.errors import NumericalError, StepRefused
 from mpm.geostatic import initial_strain
 from mpm.precheck import over_courant
+from mpm.stiffness import limit_bulk
 from mpm.watch import Look, look
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
@@ -45,7 +46,8 @@ class ExplicitSolver:
 
     def __init__(self, body: Body, device="cpu", fused: bool | None = None):
         settings = body.scene.explicit
-        self.body, self.device = body, wp.get_device(device)
+        self.body = body = limit_bulk(body)
+        self.device = wp.get_device(device)
         self.fused = self.device.is_cuda if fused is None else fused
         self.real = getattr(wp, settings.precision)
         self.k = step_kernels(self.real)

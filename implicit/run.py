@@ -170,7 +170,7 @@ class ImplicitRun(Run):
         return {
             **{name: getattr(solver, name) for name in names},
             "regularisation": asdict(solver.regularisation),
-            "young_used": 9.0 * used.bulk * used.shear / (3.0 * used.bulk + used.shear),
+            "young_used": used.young,
             "bulk_used": used.bulk,
             "nodes_stored_start": solver.nodes_solved_start,
             "nodes_stored_max": solver.nodes_solved_max,

@@ -43,6 +43,11 @@ class Constants:
     plastic: bool
 
     @property
+    def young(self) -> float:
+        """E = 9 K G/(3 K + G) [Pa]."""
+        return 9.0 * self.bulk * self.shear / (3.0 * self.bulk + self.shear)
+
+    @property
     def p_wave_modulus(self) -> float:
         """M = K + 4G/3 [Pa], the modulus of confined compression."""
         return self.bulk + 4.0 * self.shear / 3.0

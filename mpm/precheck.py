@@ -5,6 +5,7 @@ import numpy as np
 from mpm.body import Body
 from mpm.errors import SceneError
 from mpm.geostatic import geostatic_strain
+from mpm.stiffness import limit_bulk
 
 LEAST_ANGLE = 2.0  # degrees; a friction angle below may be in radians: 2 degrees are 0.035, 80 are 1.4
 LEAST_STIFFNESS = 50.0  # E over rho g h0
@@ -35,7 +36,7 @@ def over_courant(time_step: float, limit: float) -> str:
 
 
 def _explicit(body: Body) -> list[str]:
-    step, limit = body.scene.explicit.time_step, body.scene.grid.cell / body.constants.p_wave_speed
+    step, limit = body.scene.explicit.time_step, body.scene.grid.cell / limit_bulk(body).constants.p_wave_speed
     return [over_courant(step, limit)] if step and step > limit else []
 
 

@@ -14,6 +14,7 @@ from mpm.precheck import refusals, refuse
 from mpm.provenance import PROJECT, git_commit, installed, warp_devices
 from mpm.results import Results
 from mpm.scene import Column
+from mpm.stiffness import limit_bulk
 from mpm.theory import theory
 from mpm.walls import paper_grid
 
@@ -33,7 +34,7 @@ def print_checked(reference: str, settings: list[str], mode: str, table1: bool):
         out.print(line)
     time = f"time scale sqrt(h0/g) = {body.time_scale:.4g} s"
     if mode == "explicit":
-        adaptive = scene.explicit.cfl * scene.grid.cell / body.constants.p_wave_speed
+        adaptive = scene.explicit.cfl * scene.grid.cell / limit_bulk(body).constants.p_wave_speed
         time = f"first time step {scene.explicit.time_step or adaptive:.4g} s, {time}"
     out.print(time)
     other = "implicit" if mode == "explicit" else "explicit"

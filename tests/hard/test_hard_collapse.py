@@ -11,8 +11,8 @@ FRICTION = (
 COARSE = [f"{cells} cells per r0: {what}" for cells in (2, 3, 4) for what in ("numbers not finite", "mass")]
 REFUSED = [f"{cells} cells per r0: stops without a reason" for cells in (2, 3)]  # their ledger misses 6 and 7 %
 SCATTER = "nu = {}: pressure scatter in a cell of a standing column, times that at 0.3"
-CHECKERBOARD = [SCATTER.format(nu) for nu in (0.49, 0.495)]
-INCOMPRESSIBLE = [f"nu = {nu}: R" for nu in (0.49, 0.495)]
+CHECKERBOARD = [SCATTER.format(nu) for nu in (0.49, 0.499)]
+INCOMPRESSIBLE = [f"nu = {nu}: R" for nu in (0.49, 0.499)]
 ASKED = {
     "tall": (
         "explicit",
@@ -50,7 +50,10 @@ ASKED = {
         ],
     ),
 }
+ROUGH = "nearly incompressible and cohesive: nodes' averages leave 2.5 times the scatter"
 MISSED = {  # what does not hold: (figure, why)
+    ("near-incompressible", SCATTER.format(0.499)): (2.458, ROUGH),
+    ("near-incompressible, implicit", SCATTER.format(0.499)): (2.632, ROUGH),
     ("symmetry", "turned by 45 degrees: R"): (0.0228, "5 cells per r0: a turned lattice has another rim and toe"),
 }
 EXPECTED, KNOWN = of_one_solver(ASKED, MISSED)
