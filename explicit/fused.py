@@ -84,6 +84,17 @@ class FusedStep:
         wp.capture_launch(self._graph("last", self._last))
         self.finish()
 
+    def observe(self):
+        """Energies of the points and the nodes, and a look at the points: into the solver's `energy` and `looked`."""
+        if "row" not in self._graphs:
+            with wp.ScopedCapture(device=self.device) as capture:
+                self.solver.energy.zero_()
+                self.solver.add_point_energy()
+                self.grid_energy.launch()
+                self.solver.device_look.launch()
+            self._graphs["row"] = capture.graph
+        wp.capture_launch(self._graphs["row"])
+
     def start(self):
         """What comes before the first step of a batch."""
         self._take_points.launch()

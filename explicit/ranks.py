@@ -179,6 +179,10 @@ class RankedSolver(Whole):
         """What a history row says of the body's shape and volume."""
         return self.ask("look")
 
+    def observe(self) -> tuple[dict[str, float], Look]:
+        """What a history row says: `energies` and `look`."""
+        return self.energies(), self.look()
+
     def shares(self) -> list[dict[str, int]]:
         """What each rank has (see `Domain.share`)."""
         return self.ask("each", "share")

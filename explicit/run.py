@@ -148,10 +148,9 @@ class ExplicitRun(Run):
         return row
 
     def _write_row(self) -> dict[str, float]:
-        energies = self.solver.energies()
+        energies, seen = self.solver.observe()
         time_now = self.solver.time
         row = {"time": time_now, "step": self.solver.steps, "dt": self.solver.time_step}
-        seen = self.solver.look()
         row |= seen.front | energies | {"volume_ratio": seen.volume_ratio}
         supplied = self.e0 + max(energies["W_ext"], 0.0)
         row["residual"] = self.e0 + energies["W_ext"] - self._kinetic_and_elastic(energies)

@@ -10,11 +10,13 @@ import time
 import numpy as np
 import warp as wp
 
+from explicit.device_look import DeviceLook
 from explicit.dials import Dials
 from explicit.fused import SORT_BYTES, STEPS_PER_GRAPH, FusedStep
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
 from explicit.kernels.layout import POINT_ARRAYS, POINT_STATE
+from explicit.kernels.look import LOOK_SIZE
 from explicit.kernels.sparse_grid import MARGIN
 from explicit.sparse_grid import SparseGrid
 from mpm.body import Body
@@ -39,7 +41,8 @@ class ExplicitSolver:
     `tau` vec6 [Pa] Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure,
     `dilated` [-] plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
 
-    `fused`: take steps in four launches (`explicit.fused`) in place of nine phases; so on a GPU, unless told otherwise.
+    `fused`: take steps in four launches (`explicit.fused`) in place of nine phases, and look at the points on the
+    device (`explicit.device_look`); so on a GPU, unless told otherwise.
     """
 
     ids: np.ndarray | None = None  # numbers of the points in the whole body, where these are a part of it
@@ -61,11 +64,18 @@ class ExplicitSolver:
         self.plan = self._zeros(K.CLOCK_SIZE, wp.float64)  # what the clock will be in the next step
         # One column on the CPU: its sum does not depend on how nodes are numbered, so restarts are exact.
         columns = LEDGER_COLUMNS_CUDA if self.device.is_cuda else 1
-        self.energy_and_ledger = self._zeros((K.ENERGY_ROWS + K.LEDGER_ROWS, columns), wp.float64)
-        self.energy, self.ledger = self.energy_and_ledger[: K.ENERGY_ROWS], self.energy_and_ledger[K.ENERGY_ROWS :]
+        self._allocate_figures(columns)
         self.nodes_stored_max = 0
         self.fit_grid()
         self.nodes_stored_start = self.grid.stored
+
+    def _allocate_figures(self, columns: int):
+        """What a history row is made of, side by side, so that the host sees all of it in one look."""
+        rows = K.ENERGY_ROWS + K.LEDGER_ROWS
+        self.figures = self._zeros(rows * columns + (LOOK_SIZE if self.fused else 0), wp.float64)
+        self.energy_and_ledger = self.figures[: rows * columns].reshape((rows, columns))
+        self.energy, self.ledger = self.energy_and_ledger[: K.ENERGY_ROWS], self.energy_and_ledger[K.ENERGY_ROWS :]
+        self.device_look = DeviceLook(self, self.figures[rows * columns :]) if self.fused else None
 
     def _pack(self, body):
         """Constants of the scene as kernel structs."""
@@ -183,8 +193,8 @@ class ExplicitSolver:
     @property
     def bytes(self) -> int:
         """Memory of points and grid on the device [bytes]."""
-        nodes = sum(array.capacity for array in self._node_arrays())
-        return self.points * self.bytes_per_point + nodes + self.grid.bytes
+        arrays = self._node_arrays() + (self.device_look.arrays if self.fused else [])
+        return self.points * self.bytes_per_point + sum(array.capacity for array in arrays) + self.grid.bytes
 
     def _node_arrays(self):
         shared = [self.node_momentum, self.node_force, self.node_mapped]
@@ -343,16 +353,23 @@ class ExplicitSolver:
         W_ext: work of gravity; W_damping: dissipated by local damping; W_plastic: by yielding; W_decay: by the decay of
         velocities that the grid does not see.
         """
-        self.energy.zero_()
-        k, row = self.k, self.energy
-        inputs = [self.setup, self.material, self.arrays, row]
-        wp.launch(k.point_energy, self.points, inputs=inputs, device=self.device)
         if self.fused:
-            self.fused_step.grid_energy.launch()
-        else:
-            nodes = [self.node_momentum, self.node_mapped, self.counted, row]
-            wp.launch(k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
-        energy, ledger = np.split(self.energy_and_ledger.numpy().sum(axis=1), [K.ENERGY_ROWS])
+            return self.observe()[0]
+        self.energy.zero_()
+        self.add_point_energy()
+        nodes = [self.node_momentum, self.node_mapped, self.counted, self.energy]
+        wp.launch(self.k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
+        return self._energies_of(self.energy_and_ledger.numpy().sum(axis=1))
+
+    def add_point_energy(self):
+        """Add the energies of the points to `energy`."""
+        inputs = [self.setup, self.material, self.arrays, self.energy]
+        wp.launch(self.k.point_energy, self.points, inputs=inputs, device=self.device)
+
+    @staticmethod
+    def _energies_of(rows: np.ndarray) -> dict[str, float]:
+        """By name, the rows of `energy` and `ledger`, their columns added up."""
+        energy, ledger = np.split(rows, [K.ENERGY_ROWS])
         return {
             "KE_points": float(energy[K.KE_POINTS]),
             "KE_grid": float(energy[K.KE_GRID]),
@@ -365,7 +382,19 @@ class ExplicitSolver:
 
     def look(self) -> Look:
         """What a history row says of the body's shape and volume."""
+        if self.fused:
+            return self.observe()[1]
         return look(self.x.numpy(), self.volume_ratio, self.body)
+
+    def observe(self) -> tuple[dict[str, float], Look]:
+        """What a history row says: `energies` and `look`, which the device finds by itself in a fused run."""
+        if not self.fused:
+            return self.energies(), self.look()
+        self.fused_step.observe()
+        figures = self.figures.numpy()
+        rows, looked = figures[: self.energy_and_ledger.size], figures[self.energy_and_ledger.size :]
+        rows = rows.reshape(self.energy_and_ledger.shape).sum(axis=1)
+        return self._energies_of(rows), self.device_look.of(rows, looked)
 
     def grid_mass(self) -> float:
         """Mass [kg] that the last step put on the grid."""

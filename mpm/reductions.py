@@ -26,12 +26,24 @@ def quantile(values: np.ndarray, share: float, comm=None) -> float:
     """The quantile of `values` (n,) >= 0 below which a `share` of them lies, as numpy.quantile has it."""
     if comm is None:
         return float(np.quantile(values, share))
-    place = share * (sum(comm.allgather(len(values))) - 1)
-    below, above = _in_order(np.sort(values), [int(np.floor(place)), int(np.ceil(place))], comm)
+    place, neighbours = place_of(share, sum(comm.allgather(len(values))))
+    below, above = _in_order(np.sort(values), neighbours, comm)
+    return between(below, above, place)
+
+
+def place_of(share: float, count: int) -> tuple[float, tuple[int, int]]:
+    """Where the quantile of `share` stands among `count` values in ascending order, from 0, and the two places that it
+    is between."""
+    place = share * (count - 1)
+    return place, (int(np.floor(place)), int(np.ceil(place)))
+
+
+def between(below: float, above: float, place: float) -> float:
+    """The quantile that stands at `place`, between its two neighbours in ascending order."""
     return float(np.quantile([below, above], place - np.floor(place)))
 
 
-def _in_order(ascending, places: list[int], comm) -> np.ndarray:
+def _in_order(ascending, places: tuple[int, ...], comm) -> np.ndarray:
     """The values that stand at `places`, from 0, among those of all ranks in ascending order.
 
     Read as integers, the bits of numbers >= 0 ascend as these do: they are found digit by digit, the leading one first,

@@ -58,10 +58,16 @@ def front(x, measure: Measure, comm=None) -> dict[str, float]:
     (all points of a scene have the same mass). `comm`: of the ranks that `x` is spread over, where it is.
     """
     distance = measure.distance(x)
+    return front_of(largest(distance, comm), quantile(distance, QUANTILE, comm), largest(x[:, 2], comm), measure)
+
+
+def front_of(farthest: float, outer: float, top: float, measure: Measure) -> dict[str, float]:
+    """The measures of `front`, of the `farthest` centre's distance, the `outer` quantile of them and the `top` centre's
+    height, all [m]."""
     return {
-        "R_max": measure.runout(largest(distance, comm) + measure.half_length),
-        "R_995": measure.runout(quantile(distance, QUANTILE, comm)),
-        "height": largest(x[:, 2], comm) + measure.half_length,
+        "R_max": measure.runout(farthest + measure.half_length),
+        "R_995": measure.runout(outer),
+        "height": top + measure.half_length,
     }
 
 

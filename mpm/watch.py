@@ -26,22 +26,34 @@ class Look(NamedTuple):
     beyond: Beyond
 
 
+def beyond_walls(extreme, x, body: Body) -> list[Beyond]:
+    """How far the `extreme` (6,) points of a body, at `x` (6, 3) [m], lie beyond the wall that is on their side: by
+    number, those lowest along x, y and z, then the highest."""
+    walls, cell, found = body.walls, body.scene.grid.cell, []
+    for side, (point, at) in enumerate(zip(extreme, x, strict=True)):
+        axis = side % 3
+        cells = walls.low[axis] - at[axis] / cell if side < 3 else at[axis] / cell - walls.high[axis]
+        found.append(Beyond(float(cells), int(point), at))
+    return found
+
+
+def farthest_of(found: list[Beyond]) -> Beyond:
+    """The one of `found` that is farthest beyond its wall; of some that are as far, the one with the highest number."""
+    return max(found, key=lambda one: (one.cells, one.point))
+
+
 def farthest_beyond(x, body: Body, ids=None, comm=None) -> Beyond:
     """Of points `x` (n, 3) [m] of a body, the one that lies farthest beyond a wall.
 
     `comm`: of the ranks that the points are spread over, each of which has those of numbers `ids` (n,).
     """
-    walls, cell, found = body.walls, body.scene.grid.cell, []
     # Axis by axis: NumPy takes ten times as long along rows of three.
-    for axis, (low, high) in enumerate(zip(walls.low, walls.high, strict=True) if len(x) else ()):
-        at = x[:, axis]
-        lowest, highest = int(at.argmin()), int(at.argmax())
-        found += [(low - at[lowest] / cell, lowest), (at[highest] / cell - high, highest)]
+    axes = [x[:, axis] for axis in range(3)] if len(x) else []
+    extreme = [int(at.argmin()) for at in axes] + [int(at.argmax()) for at in axes]
+    found = beyond_walls(extreme if comm is None else ids[extreme], x[extreme], body)
     if comm is None:
-        cells, point = max(found)
-        return Beyond(float(cells), point, x[point])
-    mine = [Beyond(float(cells), int(ids[point]), x[point]) for cells, point in found]
-    return max((one for theirs in comm.allgather(mine) for one in theirs), key=lambda one: one.cells)
+        return farthest_of(found)
+    return farthest_of([one for theirs in comm.allgather(found) for one in theirs])
 
 
 def look(x, volume_ratio, body: Body, ids=None, comm=None) -> Look:

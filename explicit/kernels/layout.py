@@ -26,9 +26,9 @@ FAULT_SIZE = 5
 # ledger: time integrals [J], a row each; on a GPU spread over columns, so that atomics do not queue on one address
 WORK_EXTERNAL, WORK_DAMPING, WORK_PLASTIC, WORK_DECAY = range(4)
 LEDGER_ROWS = 4
-# energies of one instant [J], spread likewise
-KE_POINTS, KE_GRID, E_ELASTIC = range(3)
-ENERGY_ROWS = 3
+# energies of one instant [J], spread likewise, and volumes over the initial ones [-], where the device looks at points
+KE_POINTS, KE_GRID, E_ELASTIC, VOLUME = range(4)
+ENERGY_ROWS = 4
 # point arrays (see `Points`), of which a restart needs the first
 POINT_STATE = ("x", "v", "tau", "theta", "dilated", "eps_p_eqv")
 POINT_ARRAYS = (*POINT_STATE, "carry")

@@ -11,6 +11,7 @@ import warp as wp
 
 from explicit.kernels import step_kernels
 from explicit.kernels.fused import fused_kernels
+from explicit.kernels.look import look_kernels
 from explicit.kernels.order import order_kernels
 from explicit.kernels.sparse_grid import sparse_grid_kernels
 from mpm.devices import start_warp
@@ -37,7 +38,8 @@ def compiled(tmp_path_factory):
 
 @REALS
 def test_kernels_compile_for_cuda(real, compiled):
-    for make, more in ((step_kernels, sparse_grid_kernels), (fused_kernels, None), (order_kernels, None)):
+    alone = ((make, None) for make in (fused_kernels, look_kernels, order_kernels))
+    for make, more in ((step_kernels, sparse_grid_kernels), *alone):
         kernels = vars(make(real)) | (vars(more(real)) if more else {})
         names = {name for name, kernel in kernels.items() if isinstance(kernel, wp.Kernel)}
         (module,) = {kernels[name].module for name in names}
