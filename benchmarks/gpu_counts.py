@@ -1,11 +1,14 @@
 """What the explicit step asks of a GPU, counted in its compiled kernels: no GPU is needed.
 
     python benchmarks/gpu_counts.py [--arch 90] [--label "four launches" --out benchmarks/results/gpu_counts.csv]
+    python benchmarks/gpu_counts.py --looks
 
-A row a launch of a step, appended to the table: registers and local memory [bytes] of a thread, shared memory [bytes]
-of a block, with what Warp and the driver keep there, and how many reductions (`red`, `atom`) and bytes of loads and
-stores in global memory its code has, which is less than a thread does where there are loops. Registers need
-`cuobjdump` (pip install nvidia-cuda-cuobjdump).
+A row a launch of a step, and of what else a GPU does between outputs, appended to the table: registers and local
+memory [bytes] of a thread, shared memory [bytes] of a block, with what Warp and the driver keep there, and how many
+reductions (`red`, `atom`) and bytes of loads and stores in global memory its code has, which is less than a thread does
+where there are loops. Registers need `cuobjdump` (pip install nvidia-cuda-cuobjdump). `--looks` counts, in the first
+steps of a run, how often the host looks at the device and the bytes that it reads, with Warp's block runtime on a CPU
+in a GPU's place.
 """
 
 import argparse
@@ -14,15 +17,21 @@ import re
 import shutil
 import subprocess
 import tempfile
+from functools import partial
 from importlib.metadata import PackageNotFoundError, files
 from pathlib import Path
+from unittest.mock import patch
 
 import warp as wp
 
+from explicit.kernels.look import look_kernels
+from explicit.kernels.sparse_grid import sparse_grid_kernels
+from explicit.run import ExplicitRun
 from explicit.solver import ExplicitSolver
 from mpm.body import build
-from mpm.devices import start_warp
+from mpm.devices import find_device, start_warp
 from mpm.load import load_scene
+from mpm.results import Results
 
 NUMBER_BYTES = {"8": 1, "16": 2, "32": 4, "64": 8}
 
@@ -37,6 +46,34 @@ def step_of(real) -> list:
     settings = ["grid.cell=0.25", f"explicit.precision={real.__name__}", "explicit.damping=0.05"]
     solver = ExplicitSolver(build(load_scene("column_0.5", settings)), "cpu", fused=True)
     return [launch.kernel for launch in solver.fused_step.phases]
+
+
+def between_outputs(real) -> list:
+    """The kernels that follow the points with the stored nodes and look at them for a history row."""
+    fit, look = sparse_grid_kernels(real), look_kernels(real)
+    return [kernel for kernels in (fit, look) for kernel in vars(kernels).values()]
+
+
+def looks(steps: int, rows: bool) -> dict[str, int]:
+    """Looks of the host in so many steps of `column_0.5` at 10 cells per r0, and bytes that it reads: of a run that
+    writes history `rows`, or of steps alone."""
+    wp.config.enable_cpu_blocks = True
+    settings = ["grid.cell=0.1", "explicit.precision=float32", "explicit.damping=0.05", "output.every=60.0"]
+    scene, place = load_scene("column_0.5", settings), {"device": "cpu", "device_name": "-"}
+    sizes, as_numpy = [], wp.array.numpy
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        patch("explicit.run.ExplicitSolver", partial(ExplicitSolver, fused=True)),
+        patch.object(wp.array, "numpy", lambda array: sizes.append(array.capacity) or as_numpy(array)),
+    ):
+        results = Results.create(Path(folder) / "run", scene, place)
+        run = ExplicitRun(build(scene), results, find_device("cpu"))
+        run.begin()
+        run.solver.set_target(60.0)
+        sizes.clear()
+        while run.solver.steps < steps:
+            run.advance() if rows else run.solver.advance(60.0)
+    return {"looks": len(sizes), "bytes": sum(sizes), "history rows": run.rows - 1}
 
 
 def compiled(module, arch: int, folder: Path, ptx: bool) -> Path:
@@ -88,9 +125,8 @@ def resources(kernels, cubin: Path) -> list[tuple[int, int, int]]:
     return used
 
 
-def counts(real, arch: int):
-    """The rows of the table for one precision."""
-    kernels = step_of(real)
+def counts(kernels: list, real, arch: int):
+    """The rows of the table for some kernels of one precision."""
     with tempfile.TemporaryDirectory() as folder:
         ptx = {module: compiled(module, arch, Path(folder), True).read_text() for module in modules(kernels)}
         cubins = {module: compiled(module, arch, Path(folder), False) for module in modules(kernels)}
@@ -117,14 +153,23 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--arch", type=int, default=90, help="compute capability: 80, 90, 120")
     parser.add_argument("--label", default="present", help="what the step is called in the table")
+    parser.add_argument("--looks", action="store_true", help="count looks of the host in 1,000 steps instead")
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
+    if options.looks:
+        start_warp()
+        for rows in (False, True):
+            print("  ".join(f"{count:,} {what}" for what, count in looks(1000, rows).items()))
+        return
     if cuobjdump() is None:
         parser.error("no cuobjdump in PATH; pip install nvidia-cuda-cuobjdump brings one")
     start_warp()
     wp.config.enable_cpu_blocks = True
-    code = {"step": options.label, "arch": options.arch}
-    rows = [code | row for real in (wp.float32, wp.float64) for row in counts(real, options.arch)]
+    rows = []
+    for label, kernels_of in ((options.label, step_of), ("between outputs", between_outputs)):
+        code = {"step": label, "arch": options.arch}
+        for real in (wp.float32, wp.float64):
+            rows += [code | row for row in counts(kernels_of(real), real, options.arch)]
     for row in rows:
         print("  ".join(f"{value!s:<{24 if key == 'kernel' else 10}}" for key, value in row.items()))
     if options.out:

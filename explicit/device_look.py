@@ -37,7 +37,7 @@ class DeviceLook:
         """Look; the row VOLUME of `solver.energy` must be clean."""
         s, k, x, n = self.solver, self.k, self.solver.x, self.solver.points
         seen_from, reach = (self.axis, self.plane), (self.extreme, self.first)
-        self._launch(k.start_look, SIDES, n, *reach)
+        self._launch(k.start_look, SIDES, x, *reach)
         self._launch(
             k.look_at_points, n, *seen_from, s.arrays, self.theta_start, self.keys, self.order, self.extreme, s.energy
         )

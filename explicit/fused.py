@@ -2,13 +2,14 @@
 
 import warp as wp
 
-from explicit.kernels.fused import BLOCK, fused_kernels
+from explicit.kernels.fused import BLOCK, GO_ON, MAY_FIT, STOP, fused_kernels
 from explicit.kernels.layout import POINT_ARRAYS
 from explicit.kernels.order import order_kernels
 from explicit.kernels.warps import WARP
 
 STEPS_PER_GRAPH = 10
 SORT_BYTES = 16  # of a point: the cell it is sorted by and its number, both with as much room to sort them
+FOR_EVER = 2.0**100  # [s]
 
 
 class FusedStep:
@@ -16,7 +17,10 @@ class FusedStep:
 
     `phases`: the launches of a step, in order; `grid_energy`: the one that adds the kinetic energy of the nodes to the
     solver's `energy`. Sums that points add to are clean before a batch of steps; after it the node arrays are of its
-    last step.
+    last step, and the tables of the stored nodes those that it was taken with.
+
+    The stored nodes follow the points within a batch, by a branch of its graph; the host is asked only where there is
+    no room for them (OUT_OF_NODES). Without `branches` (CUDA drivers before 12.4) a batch ends where they must.
 
     The solver's point arrays are in the body's order. A batch of steps works on copies, `points`, in the order of cells
     that `sort` found last; `order` (n,) has their numbers in the body. Points may leave their cells meanwhile, which
@@ -37,6 +41,8 @@ class FusedStep:
         self.sum_momentum = wp.zeros(nodes, dtype=k.vec4, device=self.device)
         self.sum_force = wp.zeros(nodes, dtype=k.vec4, device=self.device)
         self.node_volume = wp.zeros(nodes, dtype=k.vec4, device=self.device)
+        self.until, self.due = solver._zeros(1, wp.float64), solver._zeros(1, wp.int32)
+        self.branches = self.device.is_cpu or wp.is_conditional_graph_supported()
         self._graphs = {}
         self._record()
 
@@ -59,7 +65,9 @@ class FusedStep:
         sums, ready = (self.sum_momentum, self.sum_force), (s.node_momentum, s.node_force, s.node_mapped)
         self._take_points = self._command(self.sort_kernels.take_points, n, order, s.arrays, points)
         self._put_back = self._command(self.sort_kernels.put_back, n, order, points, s.arrays)
-        self._start = self._command(k.start_steps, whole, setup, pencils, clock, plan, points, n, *watched, *sums)
+        start = (setup, pencils, clock, self.until, plan, points, n)
+        self._start = self._command(k.start_steps, whole, *start, *watched, *sums)
+        self._mark_due = self._command(k.mark_due, 1, setup, clock, self.until, *watched, self.due)
         at_nodes = (s.walls, pencils, s.grid.pencil_of, s.node_momentum, s.node_mapped, s.energy)
         self.grid_energy = self._command(k.grid_energy, nodes, *at_nodes)
         nodes_and_back = [
@@ -69,38 +77,28 @@ class FusedStep:
             self._command(k.strain_to_nodes, whole, setup, s.material, s.walls, pencils, clock, points, order, n,
                           s.node_mapped, self.node_volume, s.fault),
         ]  # fmt: skip
-        law = (setup, s.material, pencils, clock, plan, points, n, self.node_volume, ledger, *watched)
-        go_on, end = (self._command(k.stress_to_nodes, whole, *law, last, *sums) for last in (0, 1))
-        self.phases, self._last = [*nodes_and_back, go_on], [*nodes_and_back, end]
+        law = (setup, s.material, pencils, clock, self.until, plan, points, n, self.node_volume, ledger, *watched)
+        self.phases, self._may_fit, self._last = (
+            [*nodes_and_back, self._command(k.stress_to_nodes, whole, *law, then, self.due, *sums)]
+            for then in (GO_ON, MAY_FIT, STOP)
+        )
 
-    def take(self, steps: int):
-        """A batch of steps, as replays of recorded ones (CUDA graphs on a GPU)."""
-        self.start()
-        tens, ones = divmod(steps - 1, STEPS_PER_GRAPH)
+    def take(self, steps: int, until: float = FOR_EVER, stride: int = STEPS_PER_GRAPH):
+        """A batch of at most so many steps, as replays of recorded ones (CUDA graphs on a GPU), none from time `until`
+        [s] on; the stored nodes may follow the points every `stride` steps, 1 or STEPS_PER_GRAPH."""
+        self.start(until)
+        tens, ones = divmod(steps - 1, STEPS_PER_GRAPH) if stride == STEPS_PER_GRAPH else (0, steps - 1)
         for _ in range(tens):
-            wp.capture_launch(self._graph("ten", STEPS_PER_GRAPH * self.phases))
+            self._replay("ten", lambda: self._steps(STEPS_PER_GRAPH))
         for _ in range(ones):
-            wp.capture_launch(self._graph("one", self.phases))
-        wp.capture_launch(self._graph("last", self._last))
+            self._replay("one", lambda: self._steps(1))
+        self._replay("last", lambda: _launch(self._last))
         self.finish()
 
-    def observe(self):
-        """Energies of the points and the nodes, and a look at the points: into the solver's `energy` and `looked`."""
-        if "row" not in self._graphs:
-            with wp.ScopedCapture(device=self.device) as capture:
-                self.solver.energy.zero_()
-                self.solver.add_point_energy()
-                self.grid_energy.launch()
-                self.solver.device_look.launch()
-            self._graphs["row"] = capture.graph
-        wp.capture_launch(self._graphs["row"])
-
-    def start(self):
+    def start(self, until: float = FOR_EVER):
         """What comes before the first step of a batch."""
-        self._take_points.launch()
-        self.sum_momentum.zero_()
-        self.sum_force.zero_()
-        self._start.launch()
+        self.until.fill_(until)
+        self._replay("start", self._fit_clear_and_start)
 
     def finish(self):
         """What comes after the last step of a batch: the solver's arrays are up to date."""
@@ -113,10 +111,54 @@ class FusedStep:
         wp.launch(self.sort_kernels.number_cells, n, inputs=inputs, device=self.device)
         wp.utils.radix_sort_pairs(self.cell_of, self._order, n, end_bit=s.grid.capacity.bit_length())
 
-    def _graph(self, name: str, phases: list):
+    def observe(self):
+        """Energies of the points and the nodes, and a look at the points: into the solver's `figures`."""
+        self._replay("row", self._observe)
+
+    def _steps(self, steps: int):
+        """Steps within a batch, after which the stored nodes follow the points where they must."""
+        if not self.branches:
+            _launch(steps * self.phases)
+            return
+        _launch((steps - 1) * self.phases + self._may_fit)
+        wp.capture_if(self.due, self._fit_and_start)
+
+    def _fit_and_start(self):
+        """The sums are clean: the step before has added nothing to them."""
+        self._put_back.launch()
+        self._fit()
+        self._take_points.launch()
+        self._start.launch()
+
+    def _fit(self):
+        self.solver.grid.fit(self.solver.x)
+        self.solver.grid.reset_travel(self.solver.clock)
+        self.sort()
+
+    def _fit_clear_and_start(self):
+        if self.branches:
+            self._mark_due.launch()
+            wp.capture_if(self.due, self._fit)
+        self._take_points.launch()
+        self.sum_momentum.zero_()
+        self.sum_force.zero_()
+        self._start.launch()
+
+    def _observe(self):
+        self.solver.energy.zero_()
+        self.solver.add_point_energy()
+        self.grid_energy.launch()
+        self.solver.device_look.launch()
+
+    def _replay(self, name: str, record):
+        """What `record()` launches, recorded once."""
         if name not in self._graphs:
             with wp.ScopedCapture(device=self.device) as capture:
-                for phase in phases:
-                    phase.launch()
+                record()
             self._graphs[name] = capture.graph
-        return self._graphs[name]
+        wp.capture_launch(self._graphs[name])
+
+
+def _launch(commands):
+    for command in commands:
+        command.launch()

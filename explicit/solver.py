@@ -12,6 +12,7 @@ import warp as wp
 
 from explicit.device_look import DeviceLook
 from explicit.dials import Dials
+from explicit.figures import Figures, energies_of
 from explicit.fused import SORT_BYTES, STEPS_PER_GRAPH, FusedStep
 from explicit.kernels import layout as K
 from explicit.kernels import step_kernels
@@ -64,18 +65,12 @@ class ExplicitSolver:
         self.plan = self._zeros(K.CLOCK_SIZE, wp.float64)  # what the clock will be in the next step
         # One column on the CPU: its sum does not depend on how nodes are numbered, so restarts are exact.
         columns = LEDGER_COLUMNS_CUDA if self.device.is_cuda else 1
-        self._allocate_figures(columns)
-        self.nodes_stored_max = 0
+        self.figures = Figures(columns, LOOK_SIZE if self.fused else 0, self.device)
+        self.energy, self.ledger = self.figures.energy, self.figures.ledger
+        self.device_look = DeviceLook(self, self.figures.more) if self.fused else None
+        self._stored_before = 0
         self.fit_grid()
         self.nodes_stored_start = self.grid.stored
-
-    def _allocate_figures(self, columns: int):
-        """What a history row is made of, side by side, so that the host sees all of it in one look."""
-        rows = K.ENERGY_ROWS + K.LEDGER_ROWS
-        self.figures = self._zeros(rows * columns + (LOOK_SIZE if self.fused else 0), wp.float64)
-        self.energy_and_ledger = self.figures[: rows * columns].reshape((rows, columns))
-        self.energy, self.ledger = self.energy_and_ledger[: K.ENERGY_ROWS], self.energy_and_ledger[K.ENERGY_ROWS :]
-        self.device_look = DeviceLook(self, self.figures[rows * columns :]) if self.fused else None
 
     def _pack(self, body):
         """Constants of the scene as kernel structs."""
@@ -168,6 +163,15 @@ class ExplicitSolver:
         return self.body.scene.grid.cell / (self.setup.wave + fastest)
 
     @property
+    def nodes_stored_max(self) -> int:
+        """Most nodes that were stored at a time, also before a restart that set it."""
+        return max(self._stored_before, self.grid.most_stored)
+
+    @nodes_stored_max.setter
+    def nodes_stored_max(self, nodes: int):
+        self._stored_before = nodes
+
+    @property
     def volume_ratio(self) -> np.ndarray:
         """Volume of each point over its initial one (n,) [-]."""
         strain = self.theta.numpy().astype(float) - self.theta_start
@@ -207,9 +211,8 @@ class ExplicitSolver:
             self._record_step()
         if self.fused:
             self.fused_step.sort()
-        wp.launch(self.k.reset_travel, 1, inputs=[self.clock], device=self.device)
+        self.grid.reset_travel(self.clock)
         self.dials.forget()
-        self.nodes_stored_max = max(self.nodes_stored_max, self.grid.stored)
 
     def _record_step(self):
         """The step as launches in order, ready to be repeated."""
@@ -289,19 +292,25 @@ class ExplicitSolver:
         or its volume turns negative, and StepRefused when a fixed time step passes the Courant limit.
         """
         clock, fastest, dt = self.dials.seen.clock, float(np.max(self.dials.seen.speed)), self.time_step
-        travelled = clock[K.TRAVEL] + fastest * clock[K.DT]
-        outgrown = travelled > 0.5 * self.setup.margin
+        margin, travelled = self.setup.margin, clock[K.TRAVEL] + fastest * clock[K.DT]
+        outgrown = travelled > 0.5 * margin
         # The last step of a batch may have carried points beyond the margin, by less than a cell.
         self.grid.find_strays(self.x, int(outgrown), self.fault)
         self.dials.forget()
-        if outgrown:
+        by_itself = self.fused and self.fused_step.branches and travelled < K.OUT_OF_NODES
+        if outgrown and not by_itself:
             self._check()
             self.fit_grid()
             travelled = 0.0
         steps = math.ceil((min(until, self._target) - clock[K.TIME]) / dt - 1e-9)
-        if fastest > 0:
-            steps = min(steps, int(0.8 * (self.setup.margin - travelled) / (fastest * dt)))
-        self._take(min(max(steps, 1), MOST_STEPS))
+        if self.fused:
+            # Some more, in case they get shorter: the device stops by itself.
+            stride = STEPS_PER_GRAPH if STEPS_PER_GRAPH * fastest * dt < 0.5 * margin else 1
+            self.fused_step.take(min(max(steps + steps // 16 + 1, 1), MOST_STEPS), until, stride)
+        else:
+            if fastest > 0:
+                steps = min(steps, int(0.8 * (margin - travelled) / (fastest * dt)))
+            self._take(min(max(steps, 1), MOST_STEPS))
         self.dials.forget()
         self._check()
         return self.time
@@ -359,26 +368,12 @@ class ExplicitSolver:
         self.add_point_energy()
         nodes = [self.node_momentum, self.node_mapped, self.counted, self.energy]
         wp.launch(self.k.grid_energy, self.grid.capacity, inputs=nodes, device=self.device)
-        return self._energies_of(self.energy_and_ledger.numpy().sum(axis=1))
+        return energies_of(self.figures.read()[0])
 
     def add_point_energy(self):
         """Add the energies of the points to `energy`."""
         inputs = [self.setup, self.material, self.arrays, self.energy]
         wp.launch(self.k.point_energy, self.points, inputs=inputs, device=self.device)
-
-    @staticmethod
-    def _energies_of(rows: np.ndarray) -> dict[str, float]:
-        """By name, the rows of `energy` and `ledger`, their columns added up."""
-        energy, ledger = np.split(rows, [K.ENERGY_ROWS])
-        return {
-            "KE_points": float(energy[K.KE_POINTS]),
-            "KE_grid": float(energy[K.KE_GRID]),
-            "E_elastic": float(energy[K.E_ELASTIC]),
-            "W_ext": float(ledger[K.WORK_EXTERNAL]),
-            "W_damping": float(ledger[K.WORK_DAMPING]),
-            "W_plastic": float(ledger[K.WORK_PLASTIC]),
-            "W_decay": float(ledger[K.WORK_DECAY]),
-        }
 
     def look(self) -> Look:
         """What a history row says of the body's shape and volume."""
@@ -391,10 +386,8 @@ class ExplicitSolver:
         if not self.fused:
             return self.energies(), self.look()
         self.fused_step.observe()
-        figures = self.figures.numpy()
-        rows, looked = figures[: self.energy_and_ledger.size], figures[self.energy_and_ledger.size :]
-        rows = rows.reshape(self.energy_and_ledger.shape).sum(axis=1)
-        return self._energies_of(rows), self.device_look.of(rows, looked)
+        rows, looked = self.figures.read()
+        return energies_of(rows), self.device_look.of(rows, looked)
 
     def grid_mass(self) -> float:
         """Mass [kg] that the last step put on the grid."""

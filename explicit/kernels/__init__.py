@@ -22,7 +22,6 @@ class StepKernels:
         self.pack_material = drucker_prager(real).pack
         clock = clock_kernels(real)
         self.set_target = clock.set_target
-        self.reset_travel = clock.reset_travel
         self.begin_step = clock.begin_step
         grid = grid_kernels(real)
         self.clear_grid = grid.clear_grid

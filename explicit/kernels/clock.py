@@ -12,6 +12,7 @@ from explicit.kernels.layout import (
     INVERTED,
     NOT_FINITE,
     OFF_GRID,
+    OUT_OF_NODES,
     OVER_LIMIT,
     STEPS,
     TARGET,
@@ -36,12 +37,6 @@ def clock_kernels(real):
         """Aim at time `target` [s]: the step that would pass it is shortened to meet it."""
         clock[TARGET] = target
 
-    @wp.kernel(module=name)
-    def reset_travel(clock: wp.array(dtype=float64)):
-        """The stored nodes fit the points as they are now."""
-        clock[TRAVEL] = float64(0.0)
-        clock[DT] = float64(0.0)
-
     @wp.func(module=name)
     def goes_on(
         setup: Setup,
@@ -56,14 +51,34 @@ def clock_kernels(real):
         return 1
 
     @wp.func(module=name)
+    def fit_due(
+        setup: Setup,
+        clock: wp.array(dtype=float64),
+        until: float64,
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+    ):
+        """1 where the stored nodes must follow the points, which have used up half of their margin, before more steps
+        are taken; not where none will be, nor where the host must make room first."""
+        travel = clock[TRAVEL] + float64(speed[CARRIED]) * clock[DT]
+        if travel <= float64(0.5) * setup.margin or travel >= float64(OUT_OF_NODES):
+            return 0
+        at_fault = fault[NOT_FINITE] + fault[TOO_FAST] + fault[INVERTED] + fault[OFF_GRID] + fault[OVER_LIMIT] > 0
+        if at_fault or clock[TIME] >= wp.min(until, clock[TARGET]):
+            return 0
+        return 1
+
+    @wp.func(module=name)
     def plan_step(
         setup: Setup,
         clock: wp.array(dtype=float64),
+        until: float64,
         speed: wp.array(dtype=real),
         fault: wp.array(dtype=wp.int32),
         plan: wp.array(dtype=float64),
     ):
-        """Work out what `clock` will be in the next step, under its names, in `plan`."""
+        """Work out what `clock` will be in the next step, under its names, in `plan`; there is none from the time
+        `until` [s] on."""
         cell = float64(setup.cell)
         limit = cell / (setup.wave + float64(wp.max(wp.max(speed[0], speed[1]), speed[2])))
         dt = setup.fixed_dt
@@ -76,7 +91,7 @@ def clock_kernels(real):
         finished = time + dt * float64(1.0 + 1.0e-6) >= clock[TARGET]
         if finished:
             dt = left
-        if goes_on(setup, clock, speed, fault) == 0 or fault[OVER_LIMIT] > 0:
+        if time >= until or goes_on(setup, clock, speed, fault) == 0 or fault[OVER_LIMIT] > 0:
             dt = float64(0.0)
         plan[TRAVEL] = clock[TRAVEL] + float64(speed[CARRIED]) * clock[DT]
         plan[TIME] = time
@@ -113,14 +128,14 @@ def clock_kernels(real):
         fault: wp.array(dtype=wp.int32),
         plan: wp.array(dtype=float64),
     ):
-        plan_step(setup, clock, speed, fault, plan)
+        plan_step(setup, clock, clock[TARGET], speed, fault, plan)
         follow_plan(plan, clock, speed)
 
     return SimpleNamespace(
         set_target=set_target,
-        reset_travel=reset_travel,
         begin_step=begin_step,
         goes_on=goes_on,
+        fit_due=fit_due,
         plan_step=plan_step,
         follow_plan=follow_plan,
     )

@@ -30,6 +30,7 @@ from mpm.gimp import gimp
 # Threads a block: with 128 and not Warp's 256, 25,120 points are spread over all multiprocessors of a large GPU, and
 # more threads fit into one where each takes 100 registers or more.
 BLOCK = 4 * WARP
+GO_ON, MAY_FIT, STOP = range(3)  # what comes after a step of a batch
 
 
 @functools.cache
@@ -53,7 +54,8 @@ def fused_kernels(real):
     clock_functions, grid, transfer, stress = (
         make(real) for make in (clock_kernels, grid_kernels, transfer_kernels, stress_kernels)
     )
-    goes_on, plan_step, follow_plan = clock_functions.goes_on, clock_functions.plan_step, clock_functions.follow_plan
+    goes_on, fit_due = clock_functions.goes_on, clock_functions.fit_due
+    plan_step, follow_plan = clock_functions.plan_step, clock_functions.follow_plan
     balance, record_work, mapped_velocity = grid.balance, grid.record_work, grid.mapped_velocity
     node_mask, free_components, near_walls = grid.node_mask, grid.free_components, grid.near_walls
     flip, gather_velocity, watch, accuse = transfer.flip, transfer.gather_velocity, transfer.watch, transfer.accuse
@@ -64,10 +66,23 @@ def fused_kernels(real):
     zero, one, half = (wp.constant(real(value)) for value in (0.0, 1.0, 0.5))
 
     @wp.kernel(module=name)
+    def mark_due(
+        setup: Setup,
+        clock: wp.array(dtype=float64),
+        until: wp.array(dtype=float64),
+        speed: wp.array(dtype=real),
+        fault: wp.array(dtype=wp.int32),
+        due: wp.array(dtype=wp.int32),
+    ):
+        """Before a batch of steps: whether the stored nodes must follow the points first."""
+        due[0] = fit_due(setup, clock, until[0], speed, fault)
+
+    @wp.kernel(module=name)
     def start_steps(
         setup: Setup,
         pencils: Pencils,
         clock: wp.array(dtype=float64),
+        until: wp.array(dtype=float64),
         plan: wp.array(dtype=float64),
         points: Points,
         count: wp.int32,
@@ -76,10 +91,11 @@ def fused_kernels(real):
         sum_momentum: wp.array(dtype=vec4),
         sum_force: wp.array(dtype=vec4),
     ):
-        """Before the first step of a batch: plan it, and add the points to the sums, which are clean."""
+        """Before the first step of a batch, or after a fit of the stored nodes: plan the step, and add the points to
+        the sums, which are clean."""
         thread = wp.tid()
         if thread == 0:
-            plan_step(setup, clock, speed, fault, plan)
+            plan_step(setup, clock, until[0], speed, fault, plan)
         if goes_on(setup, clock, speed, fault) > 0:
             p = wp.min(thread, count - 1)
             x, v, tau, theta = points.x[p], points.v[p], points.tau[p], points.theta[p]
@@ -221,6 +237,7 @@ def fused_kernels(real):
         material: Material,
         pencils: Pencils,
         clock: wp.array(dtype=float64),
+        until: wp.array(dtype=float64),
         plan: wp.array(dtype=float64),
         points: Points,
         count: wp.int32,
@@ -228,17 +245,21 @@ def fused_kernels(real):
         ledger: wp.array2d(dtype=float64),
         speed: wp.array(dtype=real),
         fault: wp.array(dtype=wp.int32),
-        last: wp.int32,
+        then: wp.int32,
+        due: wp.array(dtype=wp.int32),
         sum_momentum: wp.array(dtype=vec4),
         sum_force: wp.array(dtype=vec4),
     ):
-        """Stress of the points, which then move; but in the `last` step of a batch, the next one begins with them."""
+        """Stress of the points, which then move, and what comes `then`: the next step begins with them (GO_ON), but not
+        where a fit of the stored nodes is `due` before it (MAY_FIT), nor after the last one of a batch (STOP)."""
+        thread = wp.tid()
+        if thread == 0 and then == MAY_FIT:
+            due[0] = fit_due(setup, clock, until[0], speed, fault)
         dt = real(clock[DT])
         if dt == zero:
             return
-        thread = wp.tid()
-        if thread == 0 and last == 0:
-            plan_step(setup, clock, speed, fault, plan)
+        if thread == 0 and then != STOP:
+            plan_step(setup, clock, until[0], speed, fault, plan)
         p = wp.min(thread, count - 1)
         x = one * points.x[p]
         tau, theta = vec6(), zero * points.theta[p]
@@ -258,7 +279,10 @@ def fused_kernels(real):
             points.tau[p] = tau
             points.theta[p] = theta
             points.x[p] = x
-        if last == 0 and goes_on(setup, clock, speed, fault) > 0:
+        goes = goes_on(setup, clock, speed, fault)
+        if then == STOP or (then == MAY_FIT and fit_due(setup, clock, until[0], speed, fault) > 0):
+            goes = 0
+        if goes > 0:
             add_point(setup, pencils, thread, count, x, points.v[p], tau, theta, sum_momentum, sum_force)
 
     @wp.kernel(module=name)
@@ -279,6 +303,7 @@ def fused_kernels(real):
             wp.atomic_add(energy, KE_GRID, n % energy.shape[1], float64(half * m * wp.dot(v, v)))
 
     return SimpleNamespace(
+        mark_due=mark_due,
         start_steps=start_steps,
         update_nodes=update_nodes,
         g2p2g=g2p2g,

@@ -16,6 +16,7 @@ from mpm.devices import KERNEL_OPTIONS, NOT_NEGATIVE
 # clock: float64 scalars of the running step
 TIME, DT, GRAVITY, TARGET, TRAVEL, STEPS = range(6)
 CLOCK_SIZE = 6
+OUT_OF_NODES = 2.0**100  # distance travelled of points for whose nodes there is no room, until the host makes some
 # speed: largest |v| of the points per axis and largest speed at which a point is carried, of the last step
 CARRIED = 3
 SPEED_SIZE = 4

@@ -29,7 +29,6 @@ def look_kernels(real):
     wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(name))
     vec3, Points = types.vec3, types.Points
     float64 = wp.float64
-    greatest = wp.constant(real(3.0e38))  # beyond any coordinate, in both precisions
 
     @wp.func(module=name)
     def distance(x: vec3, axis: wp.vec2d, plane: int):
@@ -41,12 +40,15 @@ def look_kernels(real):
         return wp.sqrt(away * away + aside * aside)
 
     @wp.kernel(module=name)
-    def start_look(points: wp.int32, extreme: wp.array(dtype=real), first: wp.array(dtype=wp.int32)):
+    def start_look(
+        x: wp.array(dtype=vec3),
+        extreme: wp.array(dtype=real),
+        first: wp.array(dtype=wp.int32),
+    ):
+        """Begin with the points that reached farthest at the last look: hardly any other will have to be recorded."""
         side = wp.tid()
-        extreme[side] = greatest
-        if side >= 3:
-            extreme[side] = -greatest
-        first[side] = points
+        extreme[side] = x[first[side]][side % 3]
+        first[side] = x.shape[0]
 
     @wp.kernel(module=name)
     def look_at_points(

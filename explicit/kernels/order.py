@@ -30,10 +30,13 @@ def order_kernels(real):
         cell_of: wp.array(dtype=wp.int32),
         order: wp.array(dtype=wp.int32),
     ):
-        """What points are sorted by, the first node of their stencil; and their numbers, to be sorted with it."""
+        """What points are sorted by, the first node of their stencil; and their numbers, to be sorted with it. Points
+        beyond the stored pencils, for which the host must make room first, count to those at the rim."""
         p = wp.tid()
         at = x[p]
-        cell_of[p] = node_of(pencils, base(at[0], inv_cell), base(at[1], inv_cell), base(at[2], inv_cell))
+        i = wp.clamp(base(at[0], inv_cell), pencils.i0, pencils.i0 + pencils.base.shape[0] - 1)
+        j = wp.clamp(base(at[1], inv_cell), pencils.j0, pencils.j0 + pencils.base.shape[1] - 1)
+        cell_of[p] = node_of(pencils, i, j, base(at[2], inv_cell))
         order[p] = p
 
     @wp.func(module=name)

@@ -5,11 +5,16 @@ from types import SimpleNamespace
 
 import warp as wp
 
-from explicit.kernels.layout import OFF_GRID, layout
+from explicit.kernels.layout import DT, OFF_GRID, OUT_OF_NODES, TRAVEL, layout
 from mpm.gimp import HALF_LENGTH_IN_CELLS, NODES_PER_AXIS, gimp
 
 MARGIN = 1  # cells that a point may travel before the stored nodes must be found anew
 EMPTY = 2**30
+# found: of the points the smallest and largest first stencil nodes along x and y; how many nodes they need, whether
+# there is room for these, and the most that were stored so far
+I_MIN, J_MIN, I_MAX, J_MAX, NODES, SHORT, MOST_NODES = range(7)
+FOUND_SIZE = 7
+FITS, WINDOW_SHORT, NODES_SHORT = range(3)
 LAST = NODES_PER_AXIS - 1  # node of a stencil along an axis, counted from its first
 
 
@@ -23,26 +28,14 @@ def sparse_grid_kernels(real):
     half_length = wp.constant(real(HALF_LENGTH_IN_CELLS))
 
     @wp.kernel(module=name)
-    def plan_bounds(x: wp.array(dtype=vec3), inv_cell: real, bounds: wp.array(dtype=wp.int32)):
-        """Smallest and largest first stencil node over all points: (i_min, j_min, i_max, j_max)."""
-        p = wp.tid()
-        i = base_node(x[p][0], inv_cell)
-        j = base_node(x[p][1], inv_cell)
-        # Plain reads first: an atomic only when the point lies outside what is recorded.
-        if i < bounds[0]:
-            wp.atomic_min(bounds, 0, i)
-        if j < bounds[1]:
-            wp.atomic_min(bounds, 1, j)
-        if i > bounds[2]:
-            wp.atomic_max(bounds, 2, i)
-        if j > bounds[3]:
-            wp.atomic_max(bounds, 3, j)
-
-    @wp.kernel(module=name)
-    def clear_spans(low: wp.array2d(dtype=wp.int32), high: wp.array2d(dtype=wp.int32)):
+    def clear_fit(low: wp.array2d(dtype=wp.int32), high: wp.array2d(dtype=wp.int32), found: wp.array(dtype=wp.int32)):
         i, j = wp.tid()
         low[i, j] = empty
         high[i, j] = -empty
+        if i == 0 and j == 0:
+            for axis in range(2):
+                found[I_MIN + axis] = empty
+                found[I_MAX + axis] = -empty
 
     @wp.kernel(module=name)
     def point_spans(
@@ -52,14 +45,27 @@ def sparse_grid_kernels(real):
         j0: wp.int32,
         low: wp.array2d(dtype=wp.int32),
         high: wp.array2d(dtype=wp.int32),
+        found: wp.array(dtype=wp.int32),
     ):
-        """Range of first stencil nodes along z of the points whose stencil starts at pencil (i, j)."""
+        """Smallest and largest first stencil node over all points, and the range of those along z of the points whose
+        stencil starts at pencil (i, j)."""
         p = wp.tid()
-        i = base_node(x[p][0], inv_cell) - i0
-        j = base_node(x[p][1], inv_cell) - j0
+        i = base_node(x[p][0], inv_cell)
+        j = base_node(x[p][1], inv_cell)
         k = base_node(x[p][2], inv_cell)
+        # Plain reads first: an atomic only when the point lies outside what is recorded.
+        if i < found[I_MIN]:
+            wp.atomic_min(found, I_MIN, i)
+        if j < found[J_MIN]:
+            wp.atomic_min(found, J_MIN, j)
+        if i > found[I_MAX]:
+            wp.atomic_max(found, I_MAX, i)
+        if j > found[J_MAX]:
+            wp.atomic_max(found, J_MAX, j)
+        i -= i0
+        j -= j0
         if i < 0 or j < 0 or i >= low.shape[0] or j >= low.shape[1]:
-            return  # the window is too small, which `plan_bounds` has found as well
+            return  # the window is too small, as the bounds tell
         if k < low[i, j]:
             wp.atomic_min(low, i, j, k)
         if k > high[i, j]:
@@ -85,31 +91,76 @@ def sparse_grid_kernels(real):
         count[i, j] = wp.max(top - bottom + 1 + last + 2 * margin, 0)
 
     @wp.kernel(module=name)
-    def shift_base(
-        first: wp.array2d(dtype=wp.int32),
-        count: wp.array2d(dtype=wp.int32),
-        base: wp.array2d(dtype=wp.int32),
-        found: wp.array(dtype=wp.int32),
-    ):
-        """From "index of the pencil's first node" to "index of its node k = 0", so that node k is base + k; how many
-        nodes there are, behind the four bounds in `found`."""
-        i, j = wp.tid()
-        if i == base.shape[0] - 1 and j == base.shape[1] - 1:
-            found[4] = base[i, j] + count[i, j]
-        base[i, j] = base[i, j] - first[i, j]
+    def sum_rows(count: wp.array2d(dtype=wp.int32), row_nodes: wp.array(dtype=wp.int32)):
+        """Nodes of the pencils of each row i."""
+        i = wp.tid()
+        nodes = wp.int32(0)
+        for j in range(count.shape[1]):
+            nodes += count[i, j]
+        row_nodes[i] = nodes
 
     @wp.kernel(module=name)
-    def label_nodes(
+    def place_rows(
+        count: wp.array2d(dtype=wp.int32),
+        row_nodes: wp.array(dtype=wp.int32),
+        i0: wp.int32,
+        j0: wp.int32,
+        capacity: wp.int32,
+        start: wp.array2d(dtype=wp.int32),
+        found: wp.array(dtype=wp.int32),
+    ):
+        """Where each pencil's nodes start, by i, then j; how many there are, and whether there is room for all."""
+        i = wp.tid()
+        node = wp.int32(0)
+        for before in range(i):
+            node += row_nodes[before]
+        for j in range(count.shape[1]):
+            start[i, j] = node
+            node += count[i, j]
+        if i == count.shape[0] - 1:
+            short = wp.int32(FITS)
+            if node > capacity:
+                short = NODES_SHORT
+            if (
+                found[I_MIN] - margin < i0
+                or found[J_MIN] - margin < j0
+                or found[I_MAX] + last + margin >= i0 + count.shape[0]
+                or found[J_MAX] + last + margin >= j0 + count.shape[1]
+            ):
+                short = WINDOW_SHORT
+            found[NODES] = node
+            found[SHORT] = short
+            if short == FITS:
+                found[MOST_NODES] = wp.max(found[MOST_NODES], node)
+
+    @wp.kernel(module=name)
+    def adopt(
+        new_first: wp.array2d(dtype=wp.int32),
+        new_count: wp.array2d(dtype=wp.int32),
+        start: wp.array2d(dtype=wp.int32),
+        found: wp.array(dtype=wp.int32),
         first: wp.array2d(dtype=wp.int32),
         count: wp.array2d(dtype=wp.int32),
         base: wp.array2d(dtype=wp.int32),
         pencil_of: wp.array(dtype=wp.int32),
     ):
-        """Which pencil (i * window + j) each stored node belongs to."""
+        """Where there is room for them, take the new pencils in place of the old ones: node k of a pencil is its base +
+        k, and knows its pencil (i * window + j)."""
         i, j = wp.tid()
-        start = base[i, j] + first[i, j]
-        for n in range(start, start + count[i, j]):
-            pencil_of[n] = i * count.shape[1] + j
+        if found[SHORT] == FITS:
+            first[i, j] = new_first[i, j]
+            count[i, j] = new_count[i, j]
+            base[i, j] = start[i, j] - new_first[i, j]
+            for n in range(start[i, j], start[i, j] + new_count[i, j]):
+                pencil_of[n] = i * count.shape[1] + j
+
+    @wp.kernel(module=name)
+    def reset_travel(found: wp.array(dtype=wp.int32), clock: wp.array(dtype=wp.float64)):
+        """The stored nodes fit the points as they are now; or they do not, and no step is taken until they do."""
+        clock[TRAVEL] = wp.float64(0.0)
+        if found[SHORT] != FITS:
+            clock[TRAVEL] = wp.float64(OUT_OF_NODES)
+        clock[DT] = wp.float64(0.0)
 
     @wp.kernel(module=name)
     def find_strays(
@@ -147,11 +198,12 @@ def sparse_grid_kernels(real):
             wp.atomic_max(fault, OFF_GRID, p + 1)
 
     return SimpleNamespace(
-        find_strays=find_strays,
-        plan_bounds=plan_bounds,
-        clear_spans=clear_spans,
+        clear_fit=clear_fit,
         point_spans=point_spans,
         widen_spans=widen_spans,
-        shift_base=shift_base,
-        label_nodes=label_nodes,
+        sum_rows=sum_rows,
+        place_rows=place_rows,
+        adopt=adopt,
+        reset_travel=reset_travel,
+        find_strays=find_strays,
     )

@@ -99,7 +99,7 @@ def test_the_host_reads_once_a_row_and_no_more_of_a_larger_body(monkeypatch):
             watched.setattr(wp.array, "numpy", lambda array: sizes.append(array.size) or as_numpy(array))
             solver.observe()
     assert len(sizes) == 2
-    assert sizes[0] == sizes[1] == solver.figures.size
+    assert sizes[0] == sizes[1] == solver.figures.array.size
 
 
 def test_energies_and_look_are_those_of_the_row():
@@ -115,7 +115,7 @@ def test_a_run_that_looks_on_the_host_keeps_nothing_for_a_device():
     body = solver_at("column_small", (), "float32").body
     phases, fused = ExplicitSolver(body), ExplicitSolver(body, fused=True)
     assert phases.device_look is None
-    assert phases.figures.size == phases.energy_and_ledger.size
+    assert phases.figures.array.size == phases.figures.size
     # Twice a key and a number for each point.
     arrays = fused._node_arrays()
     nodes = sum(array.capacity for array in arrays)

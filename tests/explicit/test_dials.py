@@ -5,6 +5,7 @@ import pytest
 import warp as wp
 
 from explicit.dials import Dials, Seen
+from explicit.kernels.sparse_grid import NODES
 from explicit.run import run
 from explicit.solver import ExplicitSolver
 from mpm.body import build
@@ -34,6 +35,31 @@ def test_looks_per_thousand_steps(monkeypatch):
         batches += 1
     assert 0 < len(fits) < batches < 100
     assert len(looks) == batches + 2 * len(fits)
+
+
+def test_looks_of_a_fused_run(monkeypatch):
+    """Two a history row, at the dials and at the row, and none where the stored nodes follow the points; where there is
+    no room for these, two more and another batch."""
+    monkeypatch.setattr(wp.config, "enable_cpu_blocks", True)
+    settings = ["explicit.damping=0.05", "grid.cell=0.125"]
+    solver = ExplicitSolver(build(load_scene("column_small", settings)), fused=True)
+    solver.advance_to(0.3)
+    looks, rooms, nodes = [], [], set()
+    as_numpy, fit_grid = wp.array.numpy, ExplicitSolver.fit_grid
+    monkeypatch.setattr(wp.array, "numpy", lambda array: looks.append(array) or as_numpy(array))
+    monkeypatch.setattr(ExplicitSolver, "fit_grid", lambda solver: rooms.append(solver) or fit_grid(solver))
+    solver.set_target(10.0)
+    rows = batches = 0
+    every, until = solver.body.time_scale / 20, solver.time
+    while rows < 20:
+        batches += 1
+        if solver.advance(until) >= until:
+            solver.observe()
+            rows, until = rows + 1, until + every
+            nodes.add(int(as_numpy(solver.grid.found)[NODES]))
+    assert len(nodes) > 2 + len(rooms)
+    assert len(looks) == batches + rows + 2 * len(rooms)
+    assert batches == rows + len(rooms)
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])

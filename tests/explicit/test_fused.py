@@ -111,9 +111,11 @@ def test_the_order_of_points_does_not_matter(order, precision):
 @PRECISIONS
 def test_points_need_not_be_sorted(monkeypatch, precision):
     """Where those of a warp come from anywhere, few of them share their nodes."""
+    kept = []  # graphs copy from it
 
     def shuffle(step):
-        step.order.assign(shuffled(step.solver.x))
+        kept.append(wp.array(shuffled(step.solver.x), dtype=wp.int32, device="cpu"))
+        wp.copy(step.order, kept[-1])
 
     monkeypatch.setattr(FusedStep, "sort", shuffle)
     name, settings = SCENES["column"]
@@ -184,13 +186,68 @@ def test_a_batch_ends_where_the_target_is_met():
     assert fused.energies()["KE_grid"] == pytest.approx(phases.energies()["KE_grid"], rel=1e-12)
 
 
-def test_a_batch_ends_before_points_outrun_the_stored_nodes():
+@PRECISIONS
+@pytest.mark.parametrize("stride", [1, 10])
+def test_the_stored_nodes_follow_within_a_batch(stride, precision, monkeypatch):
+    """The run of the phases, whose nodes follow by the host: over several fits, and where there is no room for more
+    nodes, which the host then makes."""
+    name, settings = SCENES["column"]
+    phases, fused = pair(body_of(name, (*settings, f"explicit.precision={precision}")), time=0.25)
+    capacities, most = {fused.grid.capacity}, fused.steps + 300
+    looks, as_numpy = [], wp.array.numpy
+    monkeypatch.setattr(wp.array, "numpy", lambda array: looks.append(array) or as_numpy(array))
+    batches = 0
+    while fused.steps < most:
+        looks.clear()
+        fused.fused_step.take(most - fused.steps, stride=stride)
+        assert not looks
+        fused.dials.forget()
+        batches += 1
+        if fused.dials.seen.clock[K.TRAVEL] >= K.OUT_OF_NODES:
+            fused.fit_grid()
+            capacities.add(fused.grid.capacity)
+    assert 2 <= len(capacities) <= batches <= 4
+    followed = 0
+    while phases.steps < most:
+        phases._take(1)
+        phases.dials.forget()
+        seen = phases.dials.seen
+        if seen.clock[K.TRAVEL] + seen.speed[K.CARRIED] * seen.clock[K.DT] > 0.5 * phases.setup.margin:
+            phases.fit_grid()
+            followed += 1
+    assert followed >= 4
+    if stride == 1:  # else the nodes follow some steps later
+        np.testing.assert_array_equal(*(solver.grid.pencils() for solver in (phases, fused)))
+    for solver in (phases, fused):
+        solver.fit_grid()  # and the distance travelled since is none
+    assert difference(phases, fused) < ROUND_OFF[precision]
+
+
+def test_where_a_graph_has_no_branches_a_batch_ends_before_points_outrun_the_stored_nodes():
     phases, fused = pair(body_of(*SCENES["column"]), time=0.25)
+    fused.fused_step.branches = False
     for solver in (phases, fused):
         solver._take(400)
-        assert solver.clock.numpy()[K.TRAVEL] > solver.setup.margin
+        assert solver.setup.margin < solver.clock.numpy()[K.TRAVEL] < K.OUT_OF_NODES
     assert phases.steps == fused.steps
     assert difference(phases, fused) < ROUND_OFF["float64"]
+    fused.advance_to(fused.time + 1e-3)
+    assert fused.steps > phases.steps
+
+
+def test_a_batch_ends_with_the_step_that_passes_its_end():
+    """However many it was given; the points are those of the phases, and the nodes those of the last step."""
+    phases, fused = pair(body_of(*SCENES["column"]))
+    until = phases.time + 12.5 * phases.time_step
+    fused.fused_step.take(40, until)
+    phases._take(13)
+    assert fused.steps == phases.steps
+    assert fused.time - fused.time_step < until < fused.time
+    for solver in (phases, fused):  # a step without length: clocks differ by the one that followed the end
+        solver.set_target(solver.time)
+    phases.step()
+    assert difference(phases, fused) < ROUND_OFF["float64"]
+    assert fused.energies()["KE_grid"] == pytest.approx(phases.energies()["KE_grid"], rel=1e-12)
 
 
 def test_faults_stop_a_fused_run():
@@ -203,6 +260,14 @@ def test_faults_stop_a_fused_run():
     before = fused.steps
     fused._take(20)
     assert fused.steps == before
+
+    _, fused = pair(body_of(*SCENES["column"]))
+    x, clock = fused.x.numpy().copy(), fused.clock.numpy().copy()
+    x[7, 2], clock[K.TRAVEL] = 1e30, 0.9 * fused.setup.margin  # the stored nodes must follow a point that has none
+    fused.x.assign(x)
+    fused.clock.assign(clock)
+    with pytest.raises(NumericalError, match="point 7: it has left the stored grid"):
+        fused.advance_to(1.0)
 
     name, settings = SCENES["column"]
     fast = ExplicitSolver(body_of(name, (*settings, "explicit.time_step=0.00158")), fused=True)  # h/c = 1.595 ms

@@ -10,6 +10,7 @@ from mpm.body import build
 from mpm.devices import start_warp
 from mpm.load import load_scene
 from mpm.results import Results
+from mpm.watch import look
 
 start_warp()
 pytestmark = [
@@ -30,6 +31,20 @@ def test_gpu_follows_the_cpu(solver_of, run_to, precision, tolerance):
     energies = [solver.energies() for solver in solvers]
     for name, value in energies[0].items():
         assert energies[1][name] == pytest.approx(value, rel=1e3 * tolerance, abs=1e-3), name
+
+
+def test_the_stored_nodes_follow_and_rows_are_written_without_the_host(solver_of):
+    """Over many fits, with batches as in a run; rows say what NumPy finds of the same points."""
+    solver = solver_of("column_1", "grid.cell=0.125", "explicit.damping=0.05", device="cuda:0")
+    solver.set_target(10.0)
+    while solver.time < 0.6:
+        solver.advance(solver.time + 0.02)
+        seen, right = solver.observe()[1], look(solver.x.numpy(), solver.volume_ratio, solver.body)
+        assert seen.front == pytest.approx(right.front, rel=1e-12)
+        assert seen.volume_ratio == pytest.approx(right.volume_ratio, rel=1e-12)
+        assert (seen.beyond.cells, seen.beyond.point) == (right.beyond.cells, right.beyond.point)
+    assert solver.grid_mass() == pytest.approx(solver.points * solver.body.point_mass, rel=1e-12)
+    assert solver.nodes_stored_max > 1.2 * solver.nodes_stored_start
 
 
 def test_gpu_run_ends_like_the_cpu_run(tmp_path):

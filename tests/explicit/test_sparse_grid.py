@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
-from explicit.kernels.layout import layout
+from explicit.kernels import layout as K
 from explicit.solver import ExplicitSolver
 from explicit.sparse_grid import SparseGrid
 from mpm.body import build
@@ -13,7 +13,7 @@ from mpm.load import load_scene
 
 start_warp()
 CELL = 0.05
-VEC3 = layout(wp.float64).vec3
+VEC3 = K.layout(wp.float64).vec3
 
 
 def grid_for(x):
@@ -63,6 +63,43 @@ def test_grid_follows_points_that_leave_the_window():
     assert grid.follow(wp.array(x, dtype=VEC3, device="cpu"))
     assert set(map(tuple, stencil_nodes(x))) <= set(map(tuple, stored_nodes(grid)))
     assert grid.stored < 200
+
+
+def clock_after_fit(grid, x):
+    """The distance travelled that a fit without the host leaves: `grid` has room for points `x`, or the host must
+    make some."""
+    clock = wp.full(K.CLOCK_SIZE, 0.7, dtype=wp.float64, device="cpu")
+    grid.fit(wp.array(x, dtype=VEC3, device="cpu"))
+    grid.reset_travel(clock)
+    return clock.numpy()[K.TRAVEL]
+
+
+def test_a_fit_without_the_host_stores_what_one_with_it_does():
+    x = np.random.default_rng(5).uniform(-0.4, 0.9, (300, 3))
+    grid, moved = grid_for(x), x + 0.3 * CELL
+    assert clock_after_fit(grid, moved) == 0.0
+    assert set(map(tuple, stored_nodes(grid))) == set(map(tuple, stored_nodes(grid_for(moved))))
+    assert len(set(map(tuple, stored_nodes(grid)))) == grid.stored <= grid.most_stored
+
+
+FAR = np.array([[20 * CELL, 0.0, 0.0]])  # beyond the window
+SPREAD = np.random.default_rng(6).uniform(0.0, 0.9, (300, 3))  # within it, but more nodes than there is room for
+
+
+@pytest.mark.parametrize("moved", [FAR, SPREAD], ids=["window", "nodes"])
+def test_where_there_is_no_room_a_fit_leaves_the_stored_nodes_as_they_are(moved):
+    x = np.random.default_rng(5).uniform(0.0, 0.3, (300, 3))
+    x[0] = 0.45  # the window reaches on to 0.9
+    grid = grid_for(x)
+    before, most = stored_nodes(grid), grid.most_stored
+    moved = x + FAR if moved is FAR else moved
+    assert clock_after_fit(grid, moved) == K.OUT_OF_NODES
+    base, pencil = grid.base.numpy(), grid.pencil_of.numpy()[:most]
+    i, j = np.divmod(pencil, base.shape[1])
+    np.testing.assert_array_equal(np.arange(most) - base[i, j], before[:, 2])
+    assert grid.most_stored == most
+    assert grid.follow(wp.array(moved, dtype=VEC3, device="cpu"))
+    assert set(map(tuple, stencil_nodes(moved))) <= set(map(tuple, stored_nodes(grid)))
 
 
 def test_a_full_column_takes_no_more_than_four_times_its_quarter():
