@@ -52,6 +52,7 @@ class Domain(Part, ExplicitSolver):
         """Names of the arrays that the material has, whether there are points here or not."""
         constants = self.whole.constants
         spare = {"dilated": constants.plastic and constants.eta_bar > 0, "eps_p_eqv": constants.plastic}
+        spare["lost"] = self.real == wp.float32
         return [name for name in POINT_ARRAYS if spare.get(name, True)]
 
     def take(self, rows: dict[str, np.ndarray]):

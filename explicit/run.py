@@ -120,6 +120,7 @@ class ExplicitRun(Run):
 
     def restore(self, state: dict):
         """Take over a checkpoint, and drop outputs written after it."""
+        state.setdefault("lost", np.zeros_like(self.solver.lost.numpy()))  # earlier versions kept none
         super().restore(state)
         for name in self.COUNTERS:
             setattr(self, name, state[name])

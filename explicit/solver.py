@@ -41,6 +41,7 @@ class ExplicitSolver:
     Point arrays, all (n,) in the body's order, also in `arrays` as kernels take them: `x`, `v`, `carry` vec3 [m, m/s],
     `tau` vec6 [Pa] Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure,
     `dilated` [-] plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
+    `lost` vec3 [m]: what float32 has left out of `x`, empty in float64.
 
     `fused`: take steps in four launches (`explicit.fused`) in place of nine phases, and look at the points on the
     device (`explicit.device_look`); so on a GPU, unless told otherwise.
@@ -104,6 +105,7 @@ class ExplicitSolver:
     def _allocate_points(self, body):
         n, k = self.points, self.k
         self.x = wp.array(body.x, dtype=k.vec3, device=self.device)
+        self.lost = self._zeros(n if self.real == wp.float32 else 0, k.vec3)
         self.v = self._zeros(n, k.vec3)
         self.carry = self._zeros(n, k.vec3)
         strain = self._initial_strain(body)

@@ -48,7 +48,8 @@ def fused_kernels(real):
     options = KERNEL_OPTIONS | {"default_grid_stride": False, "block_dim": BLOCK}
     wp.set_module_options(options, module=wp.get_module(name))
     vec3, vec4, vec6 = types.vec3, types.vec4, types.vec6
-    Points, Pencils, Walls, Setup, node_of = types.Points, types.Pencils, types.Walls, types.Setup, types.node_of
+    Points, Pencils, Walls, Setup = types.Points, types.Pencils, types.Walls, types.Setup
+    moved, node_of = types.moved, types.node_of
     Material = drucker_prager(real).Material
     float64 = wp.float64
     clock_functions, grid, transfer, stress = (
@@ -275,7 +276,7 @@ def fused_kernels(real):
                 given = add_scaled(sx[a] * sy[b], along, given)
         if thread < count:
             tau, theta = returned(setup, material, points, p, given, ledger)
-            x = x + dt * points.carry[p]
+            x = moved(points, p, x, dt * points.carry[p])
             points.tau[p] = tau
             points.theta[p] = theta
             points.x[p] = x

@@ -31,7 +31,7 @@ LEDGER_ROWS = 4
 KE_POINTS, KE_GRID, E_ELASTIC, VOLUME = range(4)
 ENERGY_ROWS = 4
 # point arrays (see `Points`), of which a restart needs the first
-POINT_STATE = ("x", "v", "tau", "theta", "dilated", "eps_p_eqv")
+POINT_STATE = ("x", "lost", "v", "tau", "theta", "dilated", "eps_p_eqv")
 POINT_ARRAYS = (*POINT_STATE, "carry")
 
 
@@ -48,9 +48,10 @@ def layout(real):
         """State of the points, each array (n,): positions `x` [m], velocities `v` and those that carry points, `carry`
         [m/s], Kirchhoff stress `tau` [Pa] in order xx, yy, zz, yz, xz, xy, volume strain `theta` [-] that bears
         pressure, plastic volume strain `dilated` [-] and `eps_p_eqv` [-]; the last two are empty where the material
-        has no use for them."""
+        has no use for them. `lost` [m]: what float32 has left out of `x`, empty in float64."""
 
         x: wp.array(dtype=vec3)
+        lost: wp.array(dtype=vec3)
         v: wp.array(dtype=vec3)
         carry: wp.array(dtype=vec3)
         tau: wp.array(dtype=vec6)
@@ -96,6 +97,24 @@ def layout(real):
         ramp: float64
         margin: float64
 
+    # Compensated sums (Kahan 1965): in float32 a point at x loses what a step adds below 6e-8 |x|, for slow motion all.
+    if real == wp.float32:
+
+        @wp.func(module=name)
+        def moved(points: Points, p: int, x: vec3, step: vec3):
+            """Where point `p` is that a step takes on from `x`; what the sum leaves out is kept for the next one."""
+            whole = step + points.lost[p]
+            there = x + whole
+            points.lost[p] = whole - (there - x)
+            return there
+
+    else:
+
+        @wp.func(module=name)
+        def moved(points: Points, p: int, x: vec3, step: vec3):
+            """Where point `p` is that a step takes on from `x`."""
+            return x + step
+
     @wp.func(module=name)
     def node_of(pencils: Pencils, i: int, j: int, k: int):
         """Index of stored node (i, j, k)."""
@@ -103,6 +122,7 @@ def layout(real):
 
     return SimpleNamespace(
         name=name,
+        moved=moved,
         node_of=node_of,
         vec3=vec3,
         vec4=vec4,

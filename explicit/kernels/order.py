@@ -43,6 +43,8 @@ def order_kernels(real):
     def copy_point(of: Points, p: int, to: Points, q: int):
         """Point `p` of `of` becomes point `q` of `to`."""
         to.x[q] = of.x[p]
+        if to.lost.shape[0] > 0:
+            to.lost[q] = of.lost[p]
         to.v[q] = of.v[p]
         to.carry[q] = of.carry[p]
         to.tau[q] = of.tau[p]

@@ -29,7 +29,7 @@ def stress_kernels(real):
     Points = types.Points
     Pencils = types.Pencils
     Setup = types.Setup
-    node_of = types.node_of
+    moved, node_of = types.moved, types.node_of
     float64 = wp.float64
     stencil, law = gimp(real).stencil, drucker_prager(real)
     add_scaled, gather = simd(real).add_scaled, simd(real).gather
@@ -214,7 +214,7 @@ def stress_kernels(real):
         tau, theta = returned(setup, material, points, p, given, ledger)
         points.tau[p] = tau
         points.theta[p] = theta
-        points.x[p] = xp + dt * points.carry[p]
+        points.x[p] = moved(points, p, xp, dt * points.carry[p])
 
     return SimpleNamespace(
         strain_points=strain_points,
