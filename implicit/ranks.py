@@ -16,6 +16,7 @@ from mpm.devices import start_warp
 from mpm.geostatic import geostatic_strain
 from mpm.parts import Gathered, Part, Whole
 from mpm.precheck import refuse
+from mpm.watch import Look, look
 
 
 class Domain(Part, ImplicitSolver):
@@ -52,6 +53,14 @@ class Domain(Part, ImplicitSolver):
     def _new_system(self):
         self.hand_on(self.x)
         return super()._new_system()
+
+    def look(self) -> Look:
+        """What a history row says of the whole body's shape and volume; no rank has all of its points."""
+        return look(self.x, self.material_points.jacobian.numpy(), self.whole, self.ids, self.comm)
+
+    def find_invalid(self, farthest: float) -> str:
+        """What is invalid on the first rank that has anything of that kind (see `mpm.run.find_invalid`)."""
+        return next(filter(None, self.comm.allgather(super().find_invalid(farthest))), "")
 
     def shared_state(self) -> dict:
         """What `state` holds that is the same on all ranks: all but points and nodes."""
@@ -127,6 +136,14 @@ class RankedSolver(Whole):
     def advance(self):
         """One step (see `ImplicitSolver.advance`)."""
         self.ask("advance")
+
+    def look(self) -> Look:
+        """What a history row says of the body's shape and volume."""
+        return self.ask("look")
+
+    def find_invalid(self, farthest: float) -> str:
+        """What of the body's state is invalid (see `mpm.run.find_invalid`)."""
+        return self.ask("find_invalid", farthest)
 
     def state(self) -> dict:
         """Everything a restart needs, of the whole body; `restore` takes it back on any number of ranks."""

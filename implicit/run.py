@@ -16,9 +16,7 @@ from mpm.provenance import code_version, provenance
 from mpm.ranks import world
 from mpm.results import Results
 from mpm.run import Run, body_of, reopen
-from mpm.runout import front
 from mpm.scene import Scene
-from mpm.watch import farthest_beyond
 
 KEPT = "regularisation_"  # before the names of `Regularisation` in a run's provenance
 
@@ -107,8 +105,8 @@ class ImplicitRun(Run):
 
     def advance(self) -> dict[str, float]:
         """One step and its history row, a snapshot and a checkpoint if due. Sets `stop_reason` at the end."""
-        self.whole_state()  # costs nothing beside a step, and a step of a spoilt state might crash
         solver = self.solver
+        self.refuse_invalid(solver.find_invalid(self.farthest))  # a step of a spoilt state might crash
         newton, failed = solver.newton_iterations, solver.failed_steps
         solver.advance()
         row = self._write_row(solver.newton_iterations - newton, solver.failed_steps - failed)
@@ -124,13 +122,14 @@ class ImplicitRun(Run):
         """`newton`: iterations of the step; `failed`: tries in it that Newton could not solve."""
         solver = self.solver
         row = {"time": solver.time, "step": solver.steps, "dt": solver.time_step}
-        row |= front(self.x, self.body.measure)
+        seen = solver.look()
+        row |= seen.front
         row |= {"unbalanced": solver.unbalanced_ratio, "newton": newton, "failed": failed}
         if np.isfinite(solver.unbalanced_ratio):
             self.most_unbalanced = max(self.most_unbalanced, solver.unbalanced_ratio)
-        row["volume_ratio"] = float(solver.material_points.jacobian.numpy().mean())
+        row["volume_ratio"] = seen.volume_ratio
         self.add_row(row)
-        if wrong := self.misplaced(farthest_beyond(self.x, self.body), row["volume_ratio"]):
+        if wrong := self.misplaced(seen.beyond, row["volume_ratio"]):
             raise NumericalError(f"diverged at step {solver.steps}: {wrong}")
         return row
 
@@ -157,7 +156,7 @@ class ImplicitRun(Run):
 
     def state_is_whole(self, _error: NumericalError) -> bool:
         """Points move only once Newton has succeeded; where they ended may be no result."""
-        return not self.misplaced(farthest_beyond(self.x, self.body), self.last_row["volume_ratio"])
+        return not self.misplaced(self.solver.look().beyond, self.last_row["volume_ratio"])
 
     def write_grid(self):
         """vtk/background.xdmf: the background mesh and the last step's displacement increment."""

@@ -15,6 +15,8 @@ from mpm.errors import NumericalError
 from mpm.geostatic import geostatic_strain
 from mpm.precheck import refuse
 from mpm.reductions import quantile
+from mpm.run import find_invalid
+from mpm.watch import Look, look
 
 MOVED_QUANTILE = 0.98  # of the points' displacement in a step: single grains in the air do not shorten it
 # Residual over weight at which a step is solved: a hundredth of what it starts from, within these bounds. What is
@@ -204,6 +206,14 @@ class ImplicitSolver:
         numbers = found if self.ids is None else self.ids[found]
         there = self.background.comm.allgather((numbers.tolist(), self.x[found]))
         return min((number[0], x[0]) for number, x in there if number)
+
+    def look(self) -> Look:
+        """What a history row says of the body's shape and volume."""
+        return look(self.x, self.material_points.jacobian.numpy(), self.body)
+
+    def find_invalid(self, farthest: float) -> str:
+        """What of the state is invalid (see `mpm.run.find_invalid`); "" where all is well."""
+        return find_invalid(self.state(), farthest, self.ids)
 
     def state(self) -> dict:
         """Everything a restart needs; `restore` takes it back to the bit."""

@@ -48,17 +48,21 @@ def body_of(results: Results) -> Body:
     return build(results.scene, seeds)
 
 
-def find_invalid(state: dict, farthest: float) -> str:
-    """What in a restart state is not finite, or farther than `farthest` [m] from the origin; "" where all is well."""
+def find_invalid(state: dict, farthest: float, ids=None) -> str:
+    """What in a restart state is not finite, or farther than `farthest` [m] from the origin; "" where all is well.
+
+    `ids` (n,): numbers of the state's points in the whole body, where these are a part of it.
+    """
     points = len(state["x"])
+    ids = np.arange(points) if ids is None else ids
     for name, value in state.items():
         if isinstance(value, np.ndarray) and not np.isfinite(value).all():
-            point = int(np.argwhere(~np.isfinite(value))[0][0])
-            return f"{name} of point {point} is not finite" if len(value) == points else f"{name} is not finite"
+            row = int(np.argwhere(~np.isfinite(value))[0][0])
+            return f"{name} of point {ids[row]} is not finite" if len(value) == points else f"{name} is not finite"
     off = np.abs(state["x"]).max(axis=1)
-    if off.max() > farthest:
-        point = int(off.argmax())
-        return f"point {point} has left the grid: x = {np.array2string(state['x'][point], precision=4)} m"
+    if off.max(initial=0.0) > farthest:
+        row = int(off.argmax())
+        return f"point {ids[row]} has left the grid: x = {np.array2string(state['x'][row], precision=4)} m"
     return ""
 
 
@@ -157,9 +161,13 @@ class Run:
     def whole_state(self) -> dict:
         """`state()`, finite and on the grid. Raises NumericalError that names the point."""
         state = self.state()
-        if wrong := find_invalid(state, self.farthest):
-            raise NumericalError(f"diverged at t = {self.solver.time:.6g} s, step {self.solver.steps}: {wrong}")
+        self.refuse_invalid(find_invalid(state, self.farthest))
         return state
+
+    def refuse_invalid(self, wrong: str):
+        """Raises NumericalError where something is `wrong` with the state (see `find_invalid`)."""
+        if wrong:
+            raise NumericalError(f"diverged at t = {self.solver.time:.6g} s, step {self.solver.steps}: {wrong}")
 
     def _differs(self, state: dict) -> str:
         """What in a restart state is not as this run would write it: names, types, points; "" where nothing is."""

@@ -23,10 +23,12 @@ from compare import launch
 from implicit._dolfinx import MPI
 from implicit.newton import PRECONDITIONERS
 from implicit.ranks import Domain
+from mpm.body import build
 from mpm.domains import cut_plan, owner_of
 from mpm.errors import SceneError
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 from mpm.results import CHECKPOINT, Results
+from mpm.runout import front
 
 PROGRAM = (sys.executable, "-c", "from compare.cli.main import main; main()")
 SYSTEM = Path(__file__).with_name("system_on_ranks.py")
@@ -182,6 +184,61 @@ def test_a_failure_of_newton_is_told_once_with_the_points_number_in_the_whole_bo
 def near(said: str) -> str:
     """The point that a failure of Newton names."""
     return said.split("largest near ")[1].split(" m;")[0]
+
+
+def gathered(folder, steps):
+    """A run of so many steps: how often it gathers an array of the whole body, and its history's columns."""
+    from compare.solvers import runs_of
+    from implicit.ranks import RankedSolver
+    from mpm.load import load_scene
+
+    ask, orders = RankedSolver.ask, []
+
+    def counting(solver, order, *arguments):
+        orders.append(order)
+        return ask(solver, order, *arguments)
+
+    RankedSolver.ask = counting
+    sections = {"grid": {"cell": 0.25}, "implicit": {"max_steps": steps}, "output": {"every": 1e3, "vtk": False}}
+    runs_of("implicit").run(load_scene("column_small", sections=sections), folder)
+    return orders.count("gathered"), Results.open(folder).history()
+
+
+def test_history_rows_gather_nothing_and_say_what_the_points_do(tmp_path, monkeypatch):
+    """Snapshots and checkpoints gather: the body need not fit one machine for more than those."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
+    few, many = (launch.call(2, gathered, tmp_path / str(steps), steps) for steps in (2, 8))
+    assert few[0] == many[0]
+    results, last = Results.open(tmp_path / "8"), {name: column[-1] for name, column in many[1].items()}
+    state = results.read_checkpoint()
+    assert (len(many[1]["step"]), last["step"]) == (9, 8)
+    body = build(results.scene)
+    for name, value in front(state["x"], body.measure).items():
+        assert last[name] == pytest.approx(value, rel=1e-12), name
+    assert last["volume_ratio"] == pytest.approx(state["jacobian"].mean(), rel=1e-12)
+
+
+@pytest.mark.parametrize("rank", [0, 1])
+def test_a_number_that_is_none_is_told_once_with_its_points_number_in_the_body(tmp_path, rank):
+    program = f"""
+import sys
+from implicit import ranks
+solved = ranks.{Domain.__name__}._accept
+def spoiling(self, u):
+    solved(self, u)
+    if self.comm.rank == {rank} and self.steps == 2:
+        print("spoilt:", self.ids[7], flush=True, file=sys.stderr)
+        self.material_points.mean.numpy()[7] = float("nan")
+ranks.{Domain.__name__}._accept = spoiling
+from compare.cli.main import main
+main()
+"""
+    code, said = launched(2, "-c", program, "run", "column_small", *COARSE, "--out", tmp_path / "run")
+    assert code == 3, said
+    (spoilt,) = (int(line.split()[1]) for line in said if line.startswith("spoilt:"))
+    (failure,) = (line for line in said if "numerical failure" in line)
+    assert f"mean of point {spoilt} is not finite" in failure
+    assert Results.open(tmp_path / "run").read_checkpoint()["steps"] < 3
 
 
 @pytest.mark.parametrize("rank", [0, 1])
