@@ -59,8 +59,8 @@ def run(
     `directory`: where they are kept; None: in a temporary folder that goes with the returned object. A folder that
     holds the finished run of this very scene, solver, device and code is opened and nothing is computed, so that a
     notebook's cell can be run again; another run in it is replaced only with `force`. `mode`: the solver. `device`:
-    "cpu" or "cuda:0", of the explicit solver. `progress`: show a bar. `ranks`: MPI ranks that compute it, "all": one a
-    core; they are started for this run, and show lines in place of a bar.
+    "cpu", "cuda:0" or, on ranks, "cuda": a GPU for each; of the explicit solver. `progress`: show a bar. `ranks`: MPI
+    ranks that compute it, "all": one a core, or a GPU; they are started for this run, and show lines in place of a bar.
 
     Raises SceneError for bad input (all problems at once), a folder in use, and where there is no MPI for ranks;
     NumericalError where a run diverges (its message names the last checkpoint); KeyboardInterrupt after Ctrl-C, once a
@@ -69,8 +69,8 @@ def run(
     from compare.launch import call, count_of, refuse_nested, refuse_ranks
 
     refuse_nested("repose.run")
-    if (many := count_of(ranks)) > 1:
-        refuse_ranks(mode, device)
+    if (many := count_of(ranks, device)) > 1:
+        refuse_ranks(device, many)
     scene, temporary = _resolved(scene), None
     if directory is None:
         temporary = tempfile.TemporaryDirectory(prefix=f"{scene.name}-{mode}-")

@@ -33,7 +33,7 @@ LOOK_EVERY = 0.2  # [s] between looks at the processes
 
 
 class Workers(NamedTuple):
-    """How many runs of a batch go at a time, and on how many MPI ranks each, where its solver takes several."""
+    """How many runs of a batch go at a time, and on how many MPI ranks each, where its device takes several."""
 
     runs: int = 1
     ranks: int = 1
@@ -44,7 +44,7 @@ class Job:
     """One run: `name` in its study, scene file or preset, `--set` overrides, mode, device.
 
     `regularisation`: what differs from `implicit.pseudo_time.Regularisation`.
-    `ranks`: how many MPI ranks compute it; of a solver that takes one alone it is one.
+    `ranks`: how many MPI ranks compute it; on a device that takes one alone it is one.
     """
 
     name: str
@@ -123,9 +123,9 @@ def run_all(jobs: list[Job], directory: Path, workers: Workers, force: bool, mon
     """
     outcomes: list[Outcome | None] = [None] * len(jobs)
     if workers.ranks > 1:
-        takers = [job for job in jobs if may_take_ranks(job.mode, job.device)]
-        if jobs and not takers:
-            refuse_ranks(jobs[0].mode, jobs[0].device)
+        takers = [job for job in jobs if may_take_ranks(job.device)]
+        for device in {job.device for job in takers or jobs}:
+            refuse_ranks(device, workers.ranks)
         jobs = [replace(job, ranks=workers.ranks) if job in takers else job for job in jobs]
     folders = [directory / f"{job.name}-{job.key}" for job in jobs]  # every scene is resolved before any run starts
     for mode in {job.mode: None for job in jobs}:

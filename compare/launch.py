@@ -15,9 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from mpm.errors import INTERRUPTED, SceneError
-from mpm.ranks import started
+from mpm.ranks import GPUS, started, too_few_gpus
 
-ON_RANKS = ("explicit", "implicit")  # the solvers that run on several ranks, on CPUs
 PLAIN_OUTPUT = "REPOSE_PLAIN_OUTPUT"  # set for ranks whose output is no terminal: a launcher may give them one
 ONE_THREAD = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
 # Open MPI 4 and 5 start more ranks than cores, and root's, only when told to. They would bind two runs side by side to
@@ -52,25 +51,40 @@ def cores() -> int:
     return len(known) or len(may_use)
 
 
-def count_of(ranks: int | str) -> int:
-    """The number of ranks that "2", 2 or "all" (a rank a core) asks for. Raises SceneError for anything else."""
-    count = cores() if ranks == "all" else int(ranks) if str(ranks).isdecimal() else 0
+def count_of(ranks: int | str, device: str = "cpu") -> int:
+    """The number of ranks that "2", 2 or "all" asks for: a rank a core, or a GPU where `device` is "cuda".
+
+    Raises SceneError for anything else.
+    """
+    if ranks == "all":
+        return max(_gpu_count(), 1) if device == GPUS else cores()
+    count = int(ranks) if str(ranks).isdecimal() else 0
     if count < 1:
         raise SceneError(f"--ranks {ranks}: must be a number of MPI ranks, 1 or more, or 'all'")
     return count
 
 
-def may_take_ranks(mode: str, device: str) -> bool:
-    """Whether the solver `mode` on `device` (Warp's alias) runs on several ranks."""
-    return mode in ON_RANKS and device == "cpu"
+def may_take_ranks(device: str) -> bool:
+    """Whether a run on `device` may take several ranks: on "cpu", and on "cuda", a GPU for each."""
+    return device in ("cpu", GPUS)
 
 
-def refuse_ranks(mode: str, device: str):
-    """Raises SceneError where the solver `mode` on `device` (Warp's alias) takes one rank alone."""
-    if mode not in ON_RANKS:
-        raise SceneError(f"--ranks: the {mode} solver runs on one rank")
-    if device != "cpu":
-        raise SceneError(f"--ranks, --device {device}: ranks compute on the CPU; on a GPU a run takes one rank")
+def refuse_ranks(device: str, here: int = 1):
+    """Raises SceneError where `device` is for one rank alone, or has not a GPU for each of those that start `here`, on
+    this machine."""
+    if not may_take_ranks(device):
+        raise SceneError(
+            f"--ranks, --device {device}: that is one device, for one rank; --device {GPUS} gives each rank a GPU of "
+            "its own"
+        )
+    if device == GPUS and here > (there := _gpu_count()):
+        raise SceneError(too_few_gpus(here, there))
+
+
+def _gpu_count() -> int:
+    from mpm.devices import gpu_count  # here and not above: importing Warp takes most of a second
+
+    return gpu_count()
 
 
 def refuse_nested(what: str):
@@ -211,8 +225,4 @@ def _answer(asked: Path, answer: Path):
 if __name__ == "__main__":
     from compare.cli.ranks import take_part
 
-    asked, answer = map(Path, sys.argv[1:])
-    if started():
-        take_part(lambda: _answer(asked, answer))
-    else:
-        _answer(asked, answer)
+    take_part(lambda: _answer(*map(Path, sys.argv[1:])))

@@ -15,7 +15,6 @@ from mpm.caches import announce_compilation
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
 from mpm.load import parse_scene
 from mpm.provenance import code_version
-from mpm.ranks import started
 from mpm.results import CHECKPOINT, SUMMARY
 
 JOB, OUTCOME = "job.json", "outcome.json"
@@ -62,7 +61,4 @@ def _resumed(runs, folder: Path, device: str) -> bool:
 
 if __name__ == "__main__":
     announce_compilation()
-    if started():
-        take_part(lambda: sys.exit(work(Path(sys.argv[1]))))
-    else:
-        sys.exit(work(Path(sys.argv[1])))
+    take_part(lambda: sys.exit(work(Path(sys.argv[1]))))

@@ -20,7 +20,8 @@ class Seen:
 class Dials:
     """`clock` (CLOCK_SIZE,) float64, `speed` (SPEED_SIZE,) of `real` and `fault` (FAULT_SIZE,) int32 on `device`.
 
-    Each look at a GPU waits for all that it was given to do, so what was seen is kept until `forget`.
+    Each look at a GPU waits for all that it was given to do, so what was seen is kept until `forget`. `bytes` (n,)
+    uint8 holds all three.
     """
 
     def __init__(self, real, device):
@@ -29,16 +30,19 @@ class Dials:
         for name, (size, dtype) in kinds.items():
             stop = start + size * wp.types.type_size_in_bytes(dtype)
             self._parts[name], start = (slice(start, stop), wp.dtype_to_numpy(dtype)), stop
-        self._bytes = wp.zeros(start, dtype=wp.uint8, device=device)
+        self.bytes = wp.zeros(start, dtype=wp.uint8, device=device)
         self._seen: Seen | None = None
         self.clock, self.speed, self.fault = (
-            wp.array(ptr=self._bytes.ptr + self._parts[name][0].start, shape=size, dtype=dtype, device=device)
+            wp.array(ptr=self.bytes.ptr + self._parts[name][0].start, shape=size, dtype=dtype, device=device)
             for name, (size, dtype) in kinds.items()
         )
 
     def read(self) -> Seen:
         """What the device holds now."""
-        seen = self._bytes.numpy()
+        return self.named(self.bytes.numpy())
+
+    def named(self, seen: np.ndarray) -> Seen:
+        """The numbers that a copy of `bytes` has."""
         return Seen(**{name: seen[part].view(dtype) for name, (part, dtype) in self._parts.items()})
 
     @property

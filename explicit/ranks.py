@@ -10,10 +10,12 @@ import numpy as np
 import warp as wp
 from mpi4py import MPI
 
+from explicit.dials import Seen
 from explicit.kernels import layout as K
 from explicit.solver import POINT_ARRAYS, POINT_STATE, ExplicitSolver
+from explicit.staged import Buffers, StagedStep
 from mpm.body import Body
-from mpm.devices import find_device
+from mpm.devices import device_of_rank
 from mpm.domains import Halo, shared_pencils
 from mpm.geostatic import initial_strain
 from mpm.parts import Gathered, Part, Whole
@@ -27,9 +29,10 @@ class Domain(Part, ExplicitSolver):
     def __init__(self, body: Body, device, comm):
         self.comm, self.whole = comm, (body := limit_bulk(body))
         self.halo: Halo | None = None  # until nodes are stored
+        self.buffers: Buffers | None = None  # likewise
         self.ids = self.cut_anew(body.x)
         self.theta_start_of_all = initial_strain(body).sum(axis=1)
-        super().__init__(replace(body, x=body.x[self.ids]), device)
+        super().__init__(replace(body, x=body.x[self.ids]), device, fused=False)
 
     def _initial_strain(self, body) -> np.ndarray:
         return super()._initial_strain(self.whole)[self.ids]
@@ -42,6 +45,23 @@ class Domain(Part, ExplicitSolver):
         self.halo = Halo(shared_pencils(self.grid.pencils(), self.comm), self.grid.capacity, self.comm)
         self.counted = wp.array(self.halo.counted, dtype=wp.int32, device=self.device)
         self._record_step()
+        if self.staged:
+            self.buffers = self.buffers or Buffers(self.real, self.device)
+            self.staged_step = StagedStep(self, self.buffers)
+
+    @property
+    def staged(self) -> bool:
+        """Whether sums over nodes are packed and added where the nodes are (`explicit.staged`), not by the host."""
+        return self.device.is_cuda
+
+    @property
+    def summed(self) -> dict[str, tuple[wp.array, ...]]:
+        """The node arrays that each phase adds to whose sums then travel."""
+        return {
+            "p2g": (self.node_momentum, self.node_force),
+            "g2p2g": (self.node_mapped,),
+            "strain_points": (self.node_dilation,),
+        }
 
     def field(self, name: str) -> np.ndarray:
         """One of the point arrays (n, ...)."""
@@ -66,43 +86,48 @@ class Domain(Part, ExplicitSolver):
     def _take(self, steps: int):
         """Steps one by one: ranks talk between the phases, and after each agree on speeds and on whether to go on."""
         for _ in range(steps):
-            self.step()
-            if self.clock.numpy()[K.DT] == 0.0:
+            seen = self.step()
+            if seen.clock[K.DT] == 0.0:
                 return
-            agreed = np.append(self.speed.numpy(), self.fault.numpy().any()).astype(float)
+            agreed = np.append(seen.speed, seen.fault.any()).astype(float)
             self.comm.Allreduce(MPI.IN_PLACE, agreed, MPI.MAX)
-            self.speed.numpy()[:] = agreed[:-1]
+            self.speed.assign(agreed[:-1])
             if agreed[-1]:
                 return
 
-    def step(self):
-        """One step: the phases in order, and sums over shared nodes after each phase that adds to nodes."""
-        summed = {
-            "p2g": (self.node_momentum, self.node_force),
-            "g2p2g": (self.node_mapped,),
-            "strain_points": (self.node_dilation,),
-        }
+    def step(self) -> Seen:
+        """One step: the phases in order, and sums over shared nodes after each phase that adds to nodes. What the host
+        sees of it."""
+        if self.staged:
+            return self.staged_step.take()
+        summed = self.summed
         begin, *phases = self._phases
         begin.launch()
-        if self.clock.numpy()[K.DT] == 0.0:
-            return
+        seen = self.dials.read()  # on the CPU that is what will be there
+        if seen.clock[K.DT] == 0.0:
+            return seen
         # A rank without points has no such phase, and shares no nodes.
         for phase in phases:
             phase.launch()
             name = phase.kernel.key.rpartition("__")[2]
             if name in summed:
                 self.halo.add(*(array.numpy() for array in summed[name]))
+        return seen
 
     def look(self) -> Look:
         """What a history row says of the whole body's shape and volume; no rank has all of its points."""
         return look(self.x.numpy(), self.volume_ratio, self.whole, self.ids, self.comm)
+
+    def alias(self) -> str:
+        """Warp's name of the device that this rank computes on."""
+        return self.device.alias
 
     def share(self) -> dict[str, int]:
         """What this rank has: points, nodes stored, those of them that others store too, ranks that do, and nodes whose
         sums it sends in an exchange."""
         peers = self.halo.peers
         counts = {"points": self.points, "nodes": self.grid.stored, "shared": len(self.halo.nodes)}
-        return counts | {"peers": len(peers), "sent": sum(len(at) for _, at in peers)}
+        return counts | {"peers": len(peers), "sent": self.halo.sent}
 
     def _check(self):
         """Raises on all ranks what the first that has a fault found."""
@@ -129,8 +154,10 @@ class Domain(Part, ExplicitSolver):
 
 
 def domain(body: Body, device: str, comm) -> Domain:
-    """This rank's domain, on the device of that name."""
-    return Domain(body, find_device(device), comm)
+    """This rank's domain, on the device that it has by that name. Raises as `mpm.devices.device_of_rank`."""
+    place = device_of_rank(device, comm)
+    wp.set_device(place)  # what has no device of its own, pinned memory, is no load on the first GPU then
+    return Domain(body, place, comm)
 
 
 class RankedSolver(Whole):
@@ -152,8 +179,11 @@ class RankedSolver(Whole):
         "bytes_per_node",
     )
 
-    def __init__(self, body: Body, device, comm):
-        super().__init__(domain, body := limit_bulk(body), device.alias, comm)
+    def __init__(self, body: Body, device: str, comm):
+        """`device`: "cpu", "cuda", a GPU for each rank of a host, or "cuda:0", one for all. Raises SceneError where
+        there are none, or too few."""
+        super().__init__(domain, body := limit_bulk(body), device, comm)
+        self.devices = ", ".join(dict.fromkeys(self.ask("each", "alias")))
         self.theta_start = initial_strain(body).sum(axis=1)
         for name in POINT_STATE:
             setattr(self, name, Gathered(self, name))

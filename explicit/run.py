@@ -38,13 +38,14 @@ def run(scene: Scene, directory, device="cpu", force=False, monitor=None) -> dic
     Interrupted (Ctrl-C, after a checkpoint).
     """
     started = time.perf_counter()
-    place = find_device(device)
+    find_device(device)  # before what takes longer
     body = build(scene)
     mode = ExplicitRun.mode
     refuse(body, mode)
+    solver = solver_of(body, device)  # before the folder: there may be too few devices for the ranks
     described = provenance(device, scene.explicit.precision) | {"mode": mode, "code": code_version(mode)}
     results = Results.create(directory, scene, described, force)
-    this = ExplicitRun(body, results, place)
+    this = ExplicitRun(body, results, solver)
     this.begin()
     return this.go(started, monitor)
 
@@ -57,16 +58,18 @@ def resume(directory, device=None, monitor=None) -> dict:
     """
     started = time.perf_counter()
     results = reopen(directory)
-    place = find_device(device or str(results.provenance["device"]))
-    this = ExplicitRun(body_of(results), results, place)
+    device = device or str(results.provenance["device"])
+    find_device(device)  # likewise
+    body = body_of(results)
+    this = ExplicitRun(body, results, solver_of(body, device))
     this.restore(results.read_checkpoint())
     return this.go(started, monitor)
 
 
-def _solver(body: Body, device):
-    """The solver on the ranks that the program was started on."""
+def solver_of(body: Body, device: str):
+    """The solver on the ranks that the program was started on. Raises SceneError for devices that are not there."""
     if (comm := world()) is None:
-        return ExplicitSolver(body, device)
+        return ExplicitSolver(body, find_device(device))
     from explicit.ranks import RankedSolver
 
     return RankedSolver(body, device, comm)
@@ -78,10 +81,10 @@ class ExplicitRun(Run):
     mode = "explicit"
     COUNTERS = ("rows", "peak_ke", "peak_work", "e0")
 
-    def __init__(self, body: Body, results: Results, device):
-        super().__init__(body, results, _solver(body, device))
+    def __init__(self, body: Body, results: Results, solver: ExplicitSolver):
+        super().__init__(body, results, solver)
         scene = body.scene
-        self.device, self.precision = self.solver.device.alias, scene.explicit.precision
+        self.device, self.precision = solver.devices, scene.explicit.precision
         until = scene.explicit.until
         self.rest_wanted = until == "rest"
         self.end: float = (scene.explicit.max_time or MAX_TIME * body.time_scale) if until == "rest" else until

@@ -144,6 +144,11 @@ class ExplicitSolver:
         return wp.zeros(shape, dtype=dtype, device=self.device)
 
     @property
+    def devices(self) -> str:
+        """Warp's alias of the device, or of all of them where the body is spread over ranks."""
+        return self.device.alias
+
+    @property
     def time(self) -> float:
         """Simulated time [s]."""
         return float(self.dials.seen.clock[K.TIME])

@@ -33,7 +33,7 @@ def run(
     started = time.perf_counter()
     _start(device)
     body = build(scene)
-    solver = _solver(body, regularisation)  # before the folder: it refuses some scenes
+    solver = solver_of(body, regularisation)  # before the folder: it refuses some scenes
     described = provenance(ImplicitRun.device, ImplicitRun.precision)
     described |= libraries() | {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
     described |= {KEPT + name: value for name, value in asdict(regularisation).items()}
@@ -54,7 +54,7 @@ def resume(directory, device=None, monitor=None) -> dict:
     kept = {name: value for name, value in results.provenance.items() if name.startswith(KEPT)}
     regularisation = Regularisation(**{name.removeprefix(KEPT): value for name, value in kept.items()})
     body = body_of(results)
-    this = ImplicitRun(body, results, _solver(body, regularisation))
+    this = ImplicitRun(body, results, solver_of(body, regularisation))
     this.restore(results.read_checkpoint())
     return this.go(started, monitor)
 
@@ -66,7 +66,7 @@ def _start(device: str):
     start_warp()
 
 
-def _solver(body: Body, regularisation: Regularisation):
+def solver_of(body: Body, regularisation: Regularisation):
     """The solver on the ranks that the program was started on. Raises SceneError for a scene that it cannot run."""
     if (comm := world()) is None:
         return ImplicitSolver(body, regularisation)

@@ -92,20 +92,26 @@ class Halo:
         self._order = sorted([*places, (comm.rank, None)], key=lambda item: item[0])
         self._buffers: dict[tuple, tuple] = {}
 
+    @property
+    def sent(self) -> int:
+        """Nodes whose numbers go out in an exchange; one goes to each rank that stores it."""
+        return sum(len(at) for _, at in self.peers)
+
     def add(self, *arrays):
         """Replace what `arrays`, each (nodes, w) or (nodes,), hold of the shared nodes by the sums over all ranks."""
         if not self.peers:
             return
-        own, sent, received = self._room(arrays)
-        waiting = [self.comm.Irecv(received[rank][0], rank) for rank, _ in self.peers]
+        own, sent, received, inbox = self._room(arrays)
+
+        def packed():
+            for rank, at in self.peers:
+                for array, part in zip(arrays, sent[rank][1], strict=True):
+                    np.take(array, at, axis=0, out=part, mode="clip")  # "raise" would copy
+                yield rank, sent[rank][0]
+
         for array, mine in zip(arrays, own[1], strict=True):
-            np.take(array, self.nodes, axis=0, out=mine, mode="clip")  # "raise" would copy
-        for rank, at in self.peers:
-            for array, part in zip(arrays, sent[rank][1], strict=True):
-                np.take(array, at, axis=0, out=part, mode="clip")
-            waiting.append(self.comm.Isend(sent[rank][0], rank))
-        ranks = [rank for rank, _ in self.peers]
-        _wait(waiting, [*ranks, *ranks], self.comm)
+            np.take(array, self.nodes, axis=0, out=mine, mode="clip")
+        exchange(packed(), inbox, self.comm)
         for k, array in enumerate(arrays):
             parts = {self.comm.rank: own[1][k]} | {rank: received[rank][1][k] for rank, _ in self.peers}
             array[self.nodes] = self._sum(parts)
@@ -127,7 +133,7 @@ class Halo:
 
     def _room(self, arrays):
         """Buffers of the size of what `arrays` have of the shared nodes, kept from step to step: for this rank, to send
-        and to receive, each a flat one and the parts of it for each array."""
+        and to receive, each a flat one and the parts of it for each array; ranks with the flat ones they fill."""
         key = tuple((array.shape[1:], array.dtype) for array in arrays)
         if key not in self._buffers:
 
@@ -139,7 +145,8 @@ class Halo:
                 return flat, [part.reshape(count, *array.shape[1:]) for part, array in zip(parts, arrays, strict=True)]
 
             sent, received = ({rank: room(len(at)) for rank, at in self.peers} for _ in range(2))
-            self._buffers[key] = room(len(self.nodes)), sent, received
+            inbox = [(rank, flat) for rank, (flat, _) in received.items()]
+            self._buffers[key] = room(len(self.nodes)), sent, received, inbox
         return self._buffers[key]
 
 
@@ -165,12 +172,20 @@ class Ownership:
 
     def _exchanged(self, array, sent, received):
         parts = [(at, np.empty((len(at), *array.shape[1:]), array.dtype)) for _, at in received]
-        waiting = [self.comm.Irecv(part, rank) for (rank, _), (_, part) in zip(received, parts, strict=True)]
-        leaving = [(rank, np.take(array, at, axis=0)) for rank, at in sent]
-        waiting += [self.comm.Isend(part, rank) for rank, part in leaving]
-        if waiting:
-            _wait(waiting, [rank for rank, _ in [*received, *sent]], self.comm)
+        leaving = ((rank, np.take(array, at, axis=0)) for rank, at in sent)
+        exchange(leaving, [(rank, part) for (rank, _), (_, part) in zip(received, parts, strict=True)], self.comm)
         return parts
+
+
+def exchange(sent, received, comm):
+    """Send each of `sent`, pairs of rank and array, which may be made as it goes; fill each of `received`, likewise.
+    Back when all is done."""
+    ranks, waiting = [rank for rank, _ in received], [comm.Irecv(array, rank) for rank, array in received]
+    for rank, array in sent:
+        ranks.append(rank)
+        waiting.append(comm.Isend(array, rank))
+    if waiting:
+        _wait(waiting, ranks, comm)
 
 
 def _wait(requests, ranks, comm):

@@ -7,13 +7,14 @@ restarted as on one rank, and on any number of them.
 
 import sys
 from contextlib import suppress
+from itertools import count
 from typing import Any
 
 import numpy as np
 
 from mpm.body import Body
 from mpm.domains import UNEVEN, cut_plan, histogram, migrate, owner_of
-from mpm.errors import NumericalError
+from mpm.errors import NumericalError, SceneError
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 
 BUILD, DISMISS = "build", "dismiss"
@@ -82,17 +83,17 @@ class Part:
 
 def serve(comm):
     """Do what the first rank asks, until it dismisses this one. Raises what is no fault of the run's."""
-    part = None
+    parts: dict[int, Part] = {}
     while True:
-        order, arguments = comm.bcast(None)
+        number, order, arguments = comm.bcast(None)
         if order == DISMISS:
             return
-        if order == BUILD:
-            make, *arguments = arguments
-            part = make(*arguments, comm)
-            continue
-        with suppress(NumericalError):  # all ranks raise it, the first one tells it
-            getattr(part, order)(*arguments)
+        with suppress(NumericalError, SceneError):  # all ranks raise it, the first one tells it
+            if order == BUILD:
+                make, *arguments = arguments
+                parts[number] = make(*arguments, comm)
+            else:
+                getattr(parts[number], order)(*arguments)
 
 
 def abort(comm, error: BaseException):
@@ -104,7 +105,7 @@ def abort(comm, error: BaseException):
 
 def dismiss(comm):
     """Let the other ranks go."""
-    comm.bcast((DISMISS, ()))
+    comm.bcast((None, DISMISS, ()))
 
 
 class Gathered:
@@ -124,14 +125,20 @@ class Gathered:
 
 
 class Whole:
-    """On the first rank, what stands in a solver's place: it asks all ranks, each with its `part`."""
+    """On the first rank, what stands in a solver's place: it asks all ranks, each with its `part`.
+
+    There may be several at a time, each with a number that all ranks know its parts by.
+    """
 
     SAME: tuple[str, ...] = ()  # attributes of the first rank's part that are the same on all
+    _numbers = count()
 
     def __init__(self, make, body: Body, argument, comm):
-        """`make(body, argument, comm)`, a function of a module, gives a rank's part."""
+        """`make(body, argument, comm)`, a function of a module, gives a rank's part; it raises SceneError on all ranks
+        or on none."""
         self.body, self.comm, self.points = body, comm, len(body.x)
-        comm.bcast((BUILD, (make, body, argument)))
+        self._number = next(self._numbers)
+        comm.bcast((self._number, BUILD, (make, body, argument)))
         self.part = self._together(make, body, argument, comm)
 
     def ask(self, order: str, *arguments):
@@ -139,13 +146,13 @@ class Whole:
 
         Raises NumericalError where it does so on any rank.
         """
-        self.comm.bcast((order, arguments))
+        self.comm.bcast((self._number, order, arguments))
         return self._together(getattr(self.part, order), *arguments)
 
     def _together(self, call, *arguments):
         try:
             return call(*arguments)
-        except NumericalError:
+        except (NumericalError, SceneError):
             raise
         except BaseException as error:
             abort(self.comm, error)

@@ -2,6 +2,7 @@
 
 import os
 
+GPUS = "cuda"  # the name of a device that stands for a GPU for each rank
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")  # in which Open MPI and MPICH tell a process how many ranks there are
 
 
@@ -13,6 +14,11 @@ def count() -> int:
 def started() -> bool:
     """Whether this process is one of several ranks."""
     return count() > 1
+
+
+def too_few_gpus(ranks: int, there: int, host: str = "this machine") -> str:
+    """In words, that `host` has not a GPU for each of its `ranks`."""
+    return f"--device {GPUS}: each of {ranks} ranks takes a GPU of its own, and {host} has {there or 'none'}"
 
 
 def world():

@@ -116,7 +116,7 @@ def test_ctrl_c_saves_a_run_on_ranks(tmp_path):
 def test_ranks_that_cannot_be_had_are_refused(monkeypatch):
     with pytest.raises(repose.SceneError, match="must be a number of MPI ranks"):
         repose.run("column_small", ranks=0)
-    with pytest.raises(repose.SceneError, match="on a GPU"):
+    with pytest.raises(repose.SceneError, match="one device, for one rank"):
         repose.run("column_small", ranks=2, device="cuda:0")
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
     for call in (repose.run, repose.compare):

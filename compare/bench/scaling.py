@@ -9,7 +9,7 @@ from pathlib import Path
 from compare.bench.ladder import ASPECT
 from compare.bench.model import EXCHANGES, Link, Machine, Prediction, predict
 from compare.bench.worker import column, on_ranks
-from compare.launch import call, count_of, refuse_nested, refuse_ranks, start
+from compare.launch import call, count_of, refuse_nested, start
 from compare.plots.reports import draw_scaling
 from compare.report.page import refuse_another, write_table
 from compare.report.sections import check, figure, verdict
@@ -40,7 +40,8 @@ def bench_ranks(
     """
     if mode != "explicit":
         raise SceneError("bench --ranks measures the explicit solver; benchmarks/implicit_ranks.py the implicit one")
-    refuse_ranks(mode, device)
+    if device != "cpu":
+        raise SceneError(f"--device {device}: bench --ranks measures ranks on CPU cores")
     refuse_nested("bench --ranks")
     counts = sorted({1, *map(count_of, ranks)})
     bodies = [(ASPECT, size) for size in sorted(cells)] or list(COLUMNS)

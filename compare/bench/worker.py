@@ -98,8 +98,9 @@ def on_ranks(aspect: float, cells: float, precision: str) -> dict:
     from mpm.devices import find_device
     from mpm.ranks import world
 
-    body, device, comm = column(aspect, cells, precision), find_device("cpu"), world()
-    solver = RankedSolver(body, device, comm) if comm else ExplicitSolver(body, device)
+    find_device("cpu")
+    body, comm = column(aspect, cells, precision), world()
+    solver = RankedSolver(body, "cpu", comm) if comm else ExplicitSolver(body)
     solver.set_target(1e9)
     _set_in_motion(solver)
     rates = [_rate(solver) for _ in range(BATCHES)]

@@ -15,7 +15,6 @@ from compare.solvers import runs_of
 from mpm.caches import announce_compilation
 from mpm.command import command
 from mpm.errors import INTERRUPTED, NumericalError, SceneError
-from mpm.ranks import started
 
 app = typer.Typer(
     help="Granular column collapse: one scene file, explicit and implicit MPM, compared with theory.",
@@ -58,10 +57,10 @@ SceneArg = Annotated[
     str, typer.Argument(metavar="SCENE", help="scene file (TOML) or a preset's name", autocompletion=_presets)
 ]
 SetOption = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="override a scene key")]
-DeviceOption = Annotated[str, typer.Option(help="cpu or cuda:0, cuda:1, ...")]
+DeviceOption = Annotated[str, typer.Option(help="cpu, cuda:0, cuda:1, ..., or cuda: on ranks a GPU each")]
 OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR")]
 AgainOption = Annotated[bool, typer.Option("--force", help="run again what is there, replace another report in DIR")]
-RanksOption = Annotated[str, typer.Option("--ranks", metavar="N|all", help="MPI ranks; all: one a core")]
+RanksOption = Annotated[str, typer.Option("--ranks", metavar="N|all", help="MPI ranks; all: one a core, or a GPU")]
 JobsOption = Annotated[int | None, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
 RealisationsOption = Annotated[
     int | None, typer.Option(help="runs of each case, from points that start at random; at least 2")
@@ -97,7 +96,7 @@ def run(
     """Run a scene: writes DIR/results.h5, DIR/summary.json and DIR/vtk for ParaView."""
     from mpm.load import load_scene
 
-    spread(ranks, mode.value, device)
+    spread(ranks, device)
     validated = load_scene(scene, set_)
     solver = runs_of(mode.value)
     directory = directory or Path("runs") / f"{validated.name}-{mode.value}"
@@ -115,7 +114,7 @@ def resume(
 
     started_as = Results.open(directory).provenance
     mode = str(started_as.get("mode", Mode.explicit.value))
-    spread(ranks, mode, device or str(started_as["device"]))
+    spread(ranks, device or str(started_as["device"]))
     solver = runs_of(mode)
     _follow(directory, solver.resume, directory, device, Monitor())
 
@@ -397,10 +396,7 @@ def _draw(directory: Path) -> list[Path]:
 
 def main():
     """Entry point, of each rank where there are several (see `compare.cli.ranks`)."""
-    if started():
-        take_part(_main)
-    else:
-        _main()
+    take_part(_main)
 
 
 def _main():

@@ -12,15 +12,16 @@ from mpm.errors import INTERRUPTED, NumericalError, SceneError
 from mpm.ranks import started, world
 
 
-def spread(ranks: str, mode: str, device: str):
-    """Start this command on `ranks` ("all": a rank a core) and exit as it does; return where that is one, or where it
-    was. Raises SceneError for what is no number of ranks, what takes one rank alone and where there is no MPI."""
+def spread(ranks: str, device: str):
+    """Start this command on `ranks` (see `compare.launch.count_of`) and exit as it does; return where that is one, or
+    where it was. Raises SceneError for what is no number of ranks, what takes one rank alone and where there is no
+    MPI."""
     if started():
-        refuse_ranks(mode, device)
+        refuse_ranks(device)
         return
-    count = count_of(ranks)
+    count = count_of(ranks, device)
     if count > 1:
-        refuse_ranks(mode, device)
+        refuse_ranks(device, count)
         raise typer.Exit(_start(count))
 
 
@@ -57,10 +58,12 @@ def _start(ranks: int) -> int:
 
 
 def take_part(main):
-    """Call `main` on the first of the ranks and let the others serve it."""
+    """Call `main`; where the program was started on several ranks, on the first of them, with the others at its
+    service."""
+    if (comm := world()) is None:
+        return main()
     from mpm.parts import abort, dismiss, serve
 
-    comm = world()
     if comm.rank == 0:
         signal.signal(signal.SIGUSR1, signal.default_int_handler)  # Ctrl-C, as the launcher hands it on
         try:

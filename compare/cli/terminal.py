@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from compare.launch import PLAIN_OUTPUT, cores, may_take_ranks
+from compare.launch import PLAIN_OUTPUT, cores
 from mpm.ranks import count
 
 LARGE = 20_000  # points of a run that gains from a second core
@@ -56,7 +56,7 @@ def announce(body):
 
 def idle_cores(run) -> str:
     """What to tell of a large run on one core of several; "" of any other."""
-    could = may_take_ranks(run.mode, run.device) and count() == 1
+    could = run.device == "cpu" and count() == 1
     if not could or run.solver.points < LARGE or (there := cores()) == 1:
         return ""
     return f"this takes one of {there} cores; --ranks {there} (or all) takes all of them"

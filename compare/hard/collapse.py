@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from compare.hard.case import Finding, hard_case
-from explicit.run import ExplicitRun
+from explicit.run import ExplicitRun, solver_of
 from mpm.body import build
 from mpm.devices import find_device
 from mpm.errors import NumericalError
@@ -38,12 +38,15 @@ def finish(
     Raises NumericalError where it diverges, SceneError where the mode is implicit and dolfinx is missing.
     """
     resolved = load_scene(scene, [*settings, "output.every=1000.0", "output.vtk=false"])
-    place = find_device(device)
+    find_device(device)
     body = build(resolved)
     body = replace(body, x=_turned(body.x, turned) + np.array(shifted))
     with TemporaryDirectory() as folder:
         results = Results.create(folder, resolved, {})
-        run = ExplicitRun(body, results, place) if mode == "explicit" else _implicit_run(body, results, regularisation)
+        if mode == "explicit":
+            run: Run = ExplicitRun(body, results, solver_of(body, device))
+        else:
+            run = _implicit_run(body, results, regularisation)
         run.begin()
         run.stepping_since = time.perf_counter()
         while run.stop_reason is None:
@@ -56,10 +59,9 @@ collapse = cache(finish)  # for runs that are only looked at: cases share them
 
 def _implicit_run(body, results, regularisation) -> Run:
     from implicit.pseudo_time import Regularisation
-    from implicit.run import ImplicitRun
-    from implicit.solver import ImplicitSolver  # here: the explicit half works without dolfinx
+    from implicit.run import ImplicitRun, solver_of  # here: the explicit half works without dolfinx
 
-    return ImplicitRun(body, results, ImplicitSolver(body, Regularisation(**regularisation)))
+    return ImplicitRun(body, results, solver_of(body, Regularisation(**regularisation)))
 
 
 def _turned(x, degrees: float):

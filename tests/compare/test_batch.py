@@ -7,10 +7,11 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 
 import pytest
 
-from compare import batch, launch
+from compare import batch
 from compare.batch import Job, Workers, run_all
 from mpm.errors import SceneError
 from mpm.results import Results
@@ -198,8 +199,11 @@ def test_a_run_on_ranks_is_a_run_of_its_own_with_the_same_result(tmp_path):
     assert run_all([job()], tmp_path, Workers(ranks=2), False, Quiet())[0].reused
 
 
-def test_a_solver_that_takes_one_rank_has_one_in_a_batch_of_ranks(monkeypatch, tmp_path):
-    monkeypatch.setattr(launch, "ON_RANKS", ("explicit",))
+def test_a_run_on_one_gpu_has_one_rank_in_a_batch_of_ranks(monkeypatch, tmp_path):
+    """No process is started."""
+    monkeypatch.setattr(batch, "find_device", lambda name: None)
+    monkeypatch.setattr(batch, "device_name", str)
+    monkeypatch.setattr("mpm.devices.gpu_count", lambda: 3)
     started = []
 
     def stand_in(job, folder, force, lock):
@@ -209,11 +213,14 @@ def test_a_solver_that_takes_one_rank_has_one_in_a_batch_of_ranks(monkeypatch, t
 
     monkeypatch.setattr(batch, "_start", stand_in)
     monkeypatch.setattr(batch, "runs_of", lambda mode: None)
-    jobs = [Job("i", "column_small", (), "implicit"), job("e")]
+    jobs = [replace(job(device), device=device) for device in ("cuda:0", "cpu", "cuda")]
     run_all(jobs, tmp_path, Workers(ranks=3), False, Quiet())
-    assert started == [("i", 1), ("e", 3)]
-    with pytest.raises(SceneError, match="the implicit solver runs on one rank"):
+    assert started == [("cuda:0", 1), ("cpu", 3), ("cuda", 3)]
+    with pytest.raises(SceneError, match="that is one device, for one rank"):
         run_all(jobs[:1], tmp_path, Workers(ranks=3), False, Quiet())
+    with pytest.raises(SceneError, match="each of 4 ranks takes a GPU of its own, and this machine has 3"):
+        run_all(jobs, tmp_path, Workers(ranks=4), False, Quiet())
+    assert len(started) == 3
 
 
 @needs_mpi

@@ -105,7 +105,7 @@ def test_speed_over_ranks_has_its_table_picture_and_predictions(tmp_path, monkey
         (("explicit", "--cells", "4.3"), "grid.cell"),
         (("explicit", "--cells", "4.3", "--ranks", "2"), "grid.cell"),
         (("explicit", "--ranks", "0"), "must be a number of MPI ranks"),
-        (("explicit", "--ranks", "2", "--device", "cuda:0"), "on a GPU"),
+        (("explicit", "--ranks", "2", "--device", "cuda:0"), "on CPU cores"),
     ],
 )
 def test_what_cannot_be_measured_is_refused_before_anything_is_written(tmp_path, arguments, said):

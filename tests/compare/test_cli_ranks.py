@@ -69,9 +69,6 @@ def test_a_large_run_on_one_core_is_told_of_the_others(four_cores, monkeypatch):
     assert terminal.idle_cores(run()) == "this takes one of 4 cores; --ranks 4 (or all) takes all of them"
     assert terminal.idle_cores(run(points=3_160)) == ""
     assert terminal.idle_cores(run(device="cuda:0")) == ""
-    monkeypatch.setattr(terminal, "may_take_ranks", lambda mode, device: False)
-    assert terminal.idle_cores(run()) == ""
-    monkeypatch.undo()
     monkeypatch.setattr(terminal, "cores", lambda: 1)
     assert terminal.idle_cores(run()) == ""
     monkeypatch.setattr(terminal, "cores", lambda: 4)

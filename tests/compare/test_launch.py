@@ -71,10 +71,21 @@ def test_numbers_of_ranks():
             count_of(wrong)
 
 
-def test_what_takes_one_rank_is_refused(monkeypatch):
-    refuse_ranks("explicit", "cpu")
-    with pytest.raises(SceneError, match="on a GPU"):
-        refuse_ranks("explicit", "cuda:0")
+@pytest.mark.parametrize(("gpus", "there"), [(0, "none"), (2, "2")])
+def test_ranks_take_cores_or_a_gpu_each(monkeypatch, gpus, there):
+    monkeypatch.setattr("mpm.devices.gpu_count", lambda: gpus)
+    refuse_ranks("cpu", 3)
+    with pytest.raises(SceneError, match=f"each of 3 ranks takes a GPU of its own, and this machine has {there}"):
+        refuse_ranks("cuda", 3)
+    if gpus:
+        refuse_ranks("cuda", gpus)
+    with pytest.raises(SceneError, match="--device cuda:0: that is one device, for one rank; --device cuda gives"):
+        refuse_ranks("cuda:0")
+    assert count_of("all", "cuda") == max(gpus, 1)
+    assert count_of("all", "cuda:0") == cores()
+
+
+def test_what_starts_ranks_itself_is_refused_on_ranks(monkeypatch):
     refuse_nested("a study")
     monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "2")
     with pytest.raises(SceneError, match="without mpirun"):

@@ -1,9 +1,14 @@
 """The CUDA path: same physics as the CPU, step graphs included. Skipped, with the reason, without a GPU."""
 
+import importlib.util
+import os
+import shutil
+
 import numpy as np
 import pytest
 import warp as wp
 
+from compare.launch import call
 from explicit.run import run
 from explicit.solver import ExplicitSolver
 from mpm.body import build
@@ -45,6 +50,35 @@ def test_the_stored_nodes_follow_and_rows_are_written_without_the_host(solver_of
         assert (seen.beyond.cells, seen.beyond.point) == (right.beyond.cells, right.beyond.point)
     assert solver.grid_mass() == pytest.approx(solver.points * solver.body.point_mass, rel=1e-12)
     assert solver.nodes_stored_max > 1.2 * solver.nodes_stored_start
+
+
+def on_ranks(settings):
+    """A column at 0.15 s on the ranks of this program, all on the first GPU: steps, positions, energies, mass."""
+    from explicit.ranks import RankedSolver
+    from mpm.ranks import world
+
+    solver = RankedSolver(build(load_scene("column_1", list(settings))), "cuda:0", world())
+    solver.advance_to(0.15)
+    return solver.steps, solver.x.numpy(), solver.energies(), solver.grid_mass()
+
+
+@pytest.mark.skipif(
+    importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None,
+    reason="no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)",
+)
+@pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 2e-4)])
+def test_two_ranks_on_one_gpu_are_one_rank_on_it(solver_of, monkeypatch, precision, tolerance):
+    """A user's ranks take a GPU each; what they pack, carry and add is the same where they share one."""
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
+    settings = ("grid.cell=0.125", f"explicit.precision={precision}")
+    alone = solver_of("column_1", *settings, device="cuda:0")
+    alone.advance_to(0.15)
+    steps, x, energies, mass = call(2, on_ranks, settings)
+    assert steps == alone.steps
+    assert np.abs(x - alone.x.numpy()).max() < tolerance
+    for name, value in alone.energies().items():
+        assert energies[name] == pytest.approx(value, rel=1e3 * tolerance, abs=1e-3), name
+    assert mass == pytest.approx(alone.grid_mass(), rel=1e-3 * tolerance if precision == "float64" else 1e-6)
 
 
 def test_gpu_run_ends_like_the_cpu_run(tmp_path):

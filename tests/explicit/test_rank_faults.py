@@ -30,7 +30,7 @@ step = Domain.step
 def faulty(domain):
     if domain.steps >= AFTER:
         fault(domain)
-    step(domain)
+    return step(domain)
 Domain.step = faulty
 
 from compare.cli.main import main

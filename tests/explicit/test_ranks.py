@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 import repose
-from compare.launch import call
+from compare.launch import call, start
+from mpm.devices import gpu_count
 from mpm.results import CHECKPOINT, Results
 
 if importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None:
@@ -132,6 +133,20 @@ def test_bad_input_is_told_once(tmp_path):
         assert "must be a number" in command("run", "column_small", "--ranks", ranks, code=2)
 
 
+def test_more_ranks_than_gpus_and_ranks_on_one_are_refused(tmp_path):
+    """Before any rank is started; under a launcher by the ranks, once, and nothing is written."""
+    words = ("run", "column_small", "--out", tmp_path / "run")
+    said = command(*words, "--ranks", 99, "--device", "cuda", code=2)
+    assert said.startswith("error: --device cuda: each of 99 ranks takes a GPU of its own, and this machine has ")
+    assert "that is one device, for one rank" in command(*words, "--ranks", 2, "--device", "cuda:0", code=2)
+    process = start(
+        gpu_count() + 2, [*PROGRAM[1:], *map(str, words), "--device", "cuda"], stderr=subprocess.PIPE, text=True
+    )
+    said = process.communicate(timeout=LONGEST)[1]
+    assert (process.returncode, said.count("error: ")) == (2, 1), said
+    assert not (tmp_path / "run").exists()
+
+
 def times_gathered(folder, history_every):
     """How often a run gathers an array of the whole body, and its history rows."""
     from compare.solvers import runs_of
@@ -157,6 +172,30 @@ def test_history_rows_gather_nothing(tmp_path, monkeypatch):
     few, many = (call(2, times_gathered, tmp_path / str(every), every) for every in (0.05, 0.005))
     assert few[1] < 5 < 15 < many[1]
     assert few[0] == many[0]
+
+
+def two_at_a_time():
+    """Positions of two bodies on the ranks of this program, stepped in turn, each at its time."""
+    from explicit.ranks import RankedSolver
+    from mpm.body import build
+    from mpm.load import load_scene
+    from mpm.ranks import world
+
+    bodies = (build(load_scene("column_small", ["grid.cell=0.25", f"explicit.damping={d}"])) for d in (0.0, 0.4))
+    solvers = [RankedSolver(body, "cpu", world()) for body in bodies]
+    for time_ in (0.1, 0.2):
+        for solver in solvers:
+            solver.advance_to(time_)
+    return [solver.x.numpy() for solver in solvers]
+
+
+def test_ranks_know_the_parts_of_several_bodies(monkeypatch, solver_of):
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
+    for damping, x in zip((0.0, 0.4), call(2, two_at_a_time), strict=True):
+        alone = solver_of("column_small", "grid.cell=0.25", f"explicit.damping={damping}")
+        for time_ in (0.1, 0.2):
+            alone.advance_to(time_)
+        np.testing.assert_allclose(x, alone.x.numpy(), rtol=0, atol=1e-12)
 
 
 def running(folder, ranks):

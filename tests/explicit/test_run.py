@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explicit.run import ExplicitRun, resume, run
+from explicit.run import ExplicitRun, resume, run, solver_of
 from mpm.body import build
-from mpm.devices import find_device
 from mpm.errors import NumericalError, SceneError
 from mpm.load import load_scene
 from mpm.results import Results
@@ -21,7 +20,7 @@ def started(directory, *settings):
     place = {"device": "cpu", "device_name": "-"}
     results = Results.create(directory, scene, place)
     body = build(scene)
-    part = ExplicitRun(body, results, find_device("cpu"))
+    part = ExplicitRun(body, results, solver_of(body, "cpu"))
     part.begin()
     return part
 

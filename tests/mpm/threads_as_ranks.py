@@ -26,7 +26,14 @@ class Ranks:
 
 class Rank:
     def __init__(self, ranks, rank):
-        self.ranks, self.rank = ranks, rank
+        self.ranks, self.rank, self.size = ranks, rank, ranks.size
+
+    def Split_type(self, _kind):
+        """The ranks of this one's host: all."""
+        return self
+
+    def Free(self):
+        """A communicator of threads holds nothing."""
 
     def allgather(self, part):
         self.ranks.parts[self.rank] = part

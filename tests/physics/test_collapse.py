@@ -6,9 +6,8 @@ from scipy.special import lambertw
 
 from compare.hard.collapse import finish
 from explicit.kernels.layout import DT
-from explicit.run import ExplicitRun, resume, run
+from explicit.run import ExplicitRun, resume, run, solver_of
 from mpm.body import build
-from mpm.devices import find_device
 from mpm.errors import NumericalError
 from mpm.load import load_scene
 from mpm.packing import packing
@@ -59,7 +58,7 @@ def test_restart_is_bitwise_equal_to_an_uninterrupted_run(tmp_path, more):
 
     body = build(scene)
     results = Results.create(tmp_path / "cut", scene, {"device": "cpu", "device_name": "-"})
-    part = ExplicitRun(body, results, find_device("cpu"))
+    part = ExplicitRun(body, results, solver_of(body, "cpu"))
     part.begin()
     for _ in range(9):
         part.advance()
