@@ -37,7 +37,8 @@ class Machine(NamedTuple):
     `rate` [points/s] of one rank alone, and `start` [s], what a step of it takes without any points. `link`: between
     the ranks of a host; `network`: between hosts, shared by a host's ranks. `handling` [s] of a message beside what
     carries it, `packing` [bytes/s] at which what is sent is gathered and what has come is added. `real` [bytes]: a
-    number's.
+    number's. `staging`: between a GPU and the host from whose memory messages go; its latency is that of a whole
+    exchange (see `explicit.staged`).
     """
 
     hosts: int
@@ -49,6 +50,7 @@ class Machine(NamedTuple):
     handling: float
     packing: float
     real: int = 8
+    staging: Link = Link(0.0, math.inf)
 
     @property
     def all_ranks(self) -> int:
@@ -145,6 +147,8 @@ def predict(points: float, aspect: float, machine: Machine) -> Prediction:
     own = domain.sent * numbers
     # A host's ranks share its network: all that leaves the host. What stays within goes over the link.
     exchange = machine.link.seconds(messages, own) + messages * machine.handling + 2.0 * own / machine.packing
+    if ranks > 1:
+        exchange += machine.staging.seconds(len(EXCHANGES), 2.0 * own)  # there and back
     if machine.hosts > 1:
         exchange += machine.network.seconds(messages, host.sent * numbers)
     agreement = 0.0

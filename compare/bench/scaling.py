@@ -24,8 +24,9 @@ POINTS = (10**6, 10**8, 10**9)  # of the predictions
 # Assumed, as there is none of these here: what makers and others state of them, rounded.
 CORES, HOSTS, GPUS = 16, 64, 4
 INFINIBAND = Link(2e-6, 25e9)  # one NDR200 port a host
-NVLINK = Link(10e-6, 300e9)  # fourth generation, by a CUDA-aware MPI
-GPU_PACKING, GPU_HANDLING = 1e12, 20e-6  # a quarter of the card's bandwidth; two launches
+# PCIe 5 of 16 lanes; of an exchange two copies, a wait and the launches, half of it Python's calls of them.
+STAGING = Link(50e-6, 50e9)
+GPU_PACKING = 1e12  # a quarter of the card's bandwidth
 # Measured on an H200 in float32 (benchmarks/results/bench_explicit_h200.csv): a straight line through its step times.
 GPU_RATE, GPU_START = 1.2e9, 95e-6
 
@@ -136,7 +137,8 @@ def this_machine(ranks: int, rate: float, link: dict[str, float]) -> Machine:
 def predictions(rows: list[dict], link: dict[str, float]) -> list[dict]:
     """A row a machine and number of points: what a step of a quarter column takes there."""
     rate = max(row["point_steps_per_s"] for row in rows if row["ranks"] == 1)
-    gpus = Machine(1, GPUS, GPU_RATE, GPU_START, NVLINK, INFINIBAND, GPU_HANDLING, GPU_PACKING, real=4)
+    gpus = this_machine(GPUS, GPU_RATE, link)  # which send from the host's memory, as its cores do
+    gpus = gpus._replace(start=GPU_START, packing=GPU_PACKING, real=4, staging=STAGING)
     machines = {
         f"{CORES} cores": this_machine(CORES, rate, link),
         f"{GPUS} GPUs": gpus,
@@ -220,9 +222,9 @@ def _model_section(link, predicted) -> dict:
             f"Assumed: {CORES} cores each as fast as one alone; {1e6 * INFINIBAND.latency:.0f} µs and "
             f"{INFINIBAND.bandwidth / 1e9:.0f} GB/s of InfiniBand, which a host's ranks share; GPUs like an H200 in "
             f"float32, {GPU_RATE / 1e9:.1f} billion point-steps/s and {1e6 * GPU_START:.0f} µs a step, "
-            f"{1e6 * NVLINK.latency:.0f} µs and {NVLINK.bandwidth / 1e9:.0f} GB/s of NVLink. "
-            "The solver does not run on several GPUs yet. Snapshots and "
-            "checkpoints, which the first rank gathers, are not counted.",
+            f"{1e6 * STAGING.latency:.0f} µs of an exchange and {STAGING.bandwidth / 1e9:.0f} GB/s each way to the "
+            "host's memory, from where messages go as measured. The solver has never run on several GPUs. Snapshots "
+            "and checkpoints, which the first rank gathers, and points that change ranks are not counted.",
         ],
         "tables": [{"caption": "A step of a quarter column", "columns": columns, "rows": table}],
         "figures": [],

@@ -109,6 +109,14 @@ def test_an_exchange_is_its_messages_and_its_bytes():
     assert said.agreement == pytest.approx(2e-3)
 
 
+def test_what_is_staged_goes_to_the_host_and_back():
+    """Three exchanges a step of 13 numbers of four bytes a node; a rank alone has none."""
+    gpus = Machine(1, 2, 1e9, 0.0, FREE, FREE, 0.0, float("inf"), real=4, staging=Link(1e-3, 1e6))
+    sent = divide(quarter_column(1e6, 0.5), 2).sent
+    assert predict(1e6, 0.5, gpus).exchange == pytest.approx(3e-3 + 2 * sent * 52 / 1e6)
+    assert predict(1e6, 0.5, gpus._replace(ranks=1)).exchange == 0.0
+
+
 def test_hosts_share_a_network_for_what_leaves_them():
     slow = Link(0.0, 1e6)
     said = predict(1e6, 0.5, Machine(4, 16, 4e6, 0.0, FREE, slow, 0.0, float("inf")))
