@@ -135,7 +135,7 @@ def run_all(jobs: list[Job], directory: Path, workers: Workers, force: bool, mon
         raise SceneError(list(dict.fromkeys(refused)))
     waiting = list(range(len(jobs)))
     active: dict[int, tuple[Path, subprocess.Popen]] = {}
-    with _alone_in(directory) as lock, _killed_as_by_ctrl_c():
+    with _alone_in(directory) as lock, killed_as_by_ctrl_c():
         monitor.start(jobs)
         try:
             while waiting or active:
@@ -171,7 +171,7 @@ def run_all(jobs: list[Job], directory: Path, workers: Workers, force: bool, mon
 
 
 @contextmanager
-def _killed_as_by_ctrl_c():
+def killed_as_by_ctrl_c():
     """Take `kill` for Ctrl-C: runs then save their state and are not left behind."""
     try:
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)

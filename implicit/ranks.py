@@ -141,6 +141,10 @@ class RankedSolver(Whole):
         """What a history row says of the body's shape and volume."""
         return self.ask("look")
 
+    def grid_mass(self) -> float:
+        """Mass [kg] that the points have put on the grid in the last step."""
+        return sum(self.ask("each", "grid_mass"))
+
     def find_invalid(self, farthest: float) -> str:
         """What of the body's state is invalid (see `mpm.run.find_invalid`)."""
         return self.ask("find_invalid", farthest)

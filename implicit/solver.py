@@ -13,6 +13,7 @@ from mpm.body import Body
 from mpm.domains import Cut
 from mpm.errors import NumericalError
 from mpm.geostatic import geostatic_strain
+from mpm.gimp import NODES_PER_AXIS
 from mpm.precheck import refuse
 from mpm.reductions import quantile
 from mpm.run import find_invalid
@@ -210,6 +211,12 @@ class ImplicitSolver:
     def look(self) -> Look:
         """What a history row says of the body's shape and volume."""
         return look(self.x, self.material_points.jacobian.numpy(), self.body)
+
+    def grid_mass(self) -> float:
+        """Mass [kg] that the points have put on the grid in the last step, by their weights."""
+        seen = np.arange(NODES_PER_AXIS) < self.weights.reach.numpy()[:, :, None]
+        shares = np.prod((self.weights.weight.numpy() * seen).sum(axis=2), axis=1)
+        return float(self.material_points.mass * shares.sum())
 
     def find_invalid(self, farthest: float) -> str:
         """What of the state is invalid (see `mpm.run.find_invalid`); "" where all is well."""

@@ -241,12 +241,13 @@ def study_stability(
     directory: OutOption = None,
     jobs: JobsOption = None,
     force: AgainOption = False,
+    ranks: RanksOption = "1",
 ):
     """Hard cases of both solvers: what is stable, degraded or refused, with figures and limits."""
     from compare.studies.stability import study_stability
 
     directory = directory or Path("runs") / f"stability{'-quick' if quick else ''}"
-    _report(directory, force, study_stability, quick, runs_at_a_time(jobs, 1, usual=2))
+    _report(directory, force, study_stability, quick, _workers(jobs, ranks, usual=2))
 
 
 @app.command("bench", cls=SpacedNumbers)

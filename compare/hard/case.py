@@ -35,18 +35,20 @@ class Finding:
 
 @dataclass(frozen=True)
 class Case:
-    """A hard case: `run()` computes it and yields its findings. `slow`: takes more than half a minute."""
+    """A hard case: `run()` computes it and yields its findings. `slow`: takes more than half a minute. `on_ranks`: runs
+    of a solver are all that it takes (`compare.hard.collapse.finish`), so that several MPI ranks can compute it."""
 
     name: str
     run: Callable[[], Iterator[Finding]]
     slow: bool
+    on_ranks: bool = False
 
 
-def hard_case(name: str, slow: bool = False):
-    """Register the decorated generator of findings as the case `name`."""
+def hard_case(name: str, slow: bool = False, on_ranks: bool = False):
+    """Register the decorated generator of findings as the case `name` (see `Case`)."""
 
     def register(run):
-        CASES.append(Case(name, run, slow))
+        CASES.append(Case(name, run, slow, on_ranks))
         return run
 
     return register

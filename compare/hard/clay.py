@@ -34,7 +34,7 @@ def falls(mode: str, halves: int) -> bool:
     return runout(block(mode, halves * FINE / 2, FINE, *ENDS[mode])) > 0.0
 
 
-@hard_case("clay")
+@hard_case("clay", on_ranks=True)
 def clay():
     """The tall block collapses, at nu = 0.499 as at 0.3, and low cuts stand up to the height that theory gives."""
     yield from _collapses("explicit")
@@ -42,14 +42,14 @@ def clay():
     yield from _incompressible("explicit")
 
 
-@hard_case("clay, implicit")
+@hard_case("clay, implicit", on_ranks=True)
 def clay_implicit():
     """Likewise, but for nu = 0.499."""
     yield from _collapses("implicit")
     yield from _critical("implicit")
 
 
-@hard_case("clay, nearly incompressible, implicit", slow=True)
+@hard_case("clay, nearly incompressible, implicit", slow=True, on_ranks=True)
 def clay_incompressible_implicit():
     """nu = 0.499: clay keeps its moduli, so that Newton needs ten times as many iterations."""
     yield from _incompressible("implicit")

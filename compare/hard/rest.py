@@ -62,7 +62,7 @@ def quiet_column():
         )
 
 
-@hard_case("quiet column, implicit")
+@hard_case("quiet column, implicit", on_ranks=True)
 def quiet_column_implicit():
     """The column from its geostatic state, the sand with all of its weight put on at once."""
     for name, (scene, *settings) in QUIET.items():
@@ -82,14 +82,14 @@ def quiet_column_implicit():
 CREEP_REASON = "at rest is at rest; over R, not 1 + R, since R is what is compared with theory"
 
 
-@hard_case("creep after rest")
+@hard_case("creep after rest", on_ranks=True)
 def creep_after_rest():
     """4 sqrt(h0/g) more after a collapse at D = 0.4 has ended."""
     for scene in (MIDDLE, LOW):
         yield _creep(finish("explicit", scene, FIFTH, DAMPED))
 
 
-@hard_case("creep after rest, implicit")
+@hard_case("creep after rest, implicit", on_ranks=True)
 def creep_after_rest_implicit():
     """Likewise in pseudo-time."""
     for scene in (MIDDLE, LOW):

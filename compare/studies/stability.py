@@ -1,17 +1,22 @@
-"""`repose study stability`: every hard case in a process of its own, and a table of what held and what did not."""
+"""`repose study stability`: every hard case in a process of its own, and a table of what held and what did not.
+
+Cases that only take runs of a solver are computed on several MPI ranks where these are asked for.
+"""
 
 import hashlib
 import json
-import os
 import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from itertools import repeat
 from pathlib import Path
 
+from compare.batch import Workers, killed_as_by_ctrl_c
+from compare.cli.ranks import take_part
 from compare.hard import clay, collapse, law, rest, transfer
 from compare.hard.case import CASES, Case, judge
-from compare.launch import ONE_THREAD
+from compare.launch import sorted_lines, start, stop
 from compare.plots.hard import draw_case
 from compare.report.page import refuse_another, write_table
 from compare.report.sections import check, figure, verdict
@@ -22,7 +27,7 @@ COLUMNS = ("case", "what", "solver", "outcome", "value", "limit", "reason", "not
 LONGEST = 3600.0  # [s] of one case, after which it counts as hung
 
 
-def study_stability(directory: Path, force, _monitor, command: str, quick: bool, workers: int) -> dict:
+def study_stability(directory: Path, force, _monitor, command: str, quick: bool, workers: Workers) -> dict:
     """Run the hard cases, the long ones too unless `quick`; the report (see `compare.report.page`).
 
     A case's rows are kept in `directory`/cases and used again as long as the code stays the same.
@@ -33,8 +38,16 @@ def study_stability(directory: Path, force, _monitor, command: str, quick: bool,
     folder.mkdir(parents=True, exist_ok=True)
     version = _version()
     cases = [case for case in CASES if not (quick and case.slow)]
-    with ThreadPoolExecutor(workers) as pool:
-        found = list(pool.map(lambda case: _rows(case, folder, version, force), cases))
+    ranks = [workers.ranks if case.on_ranks else 1 for case in cases]
+    answers = [_answer(case, folder, version, count) for case, count in zip(cases, ranks, strict=True)]
+    running: set[subprocess.Popen] = set()
+    with killed_as_by_ctrl_c(), ThreadPoolExecutor(workers.runs) as pool:
+        try:
+            found = list(pool.map(_rows, cases, answers, ranks, repeat(force), repeat(running)))
+        except KeyboardInterrupt:
+            for process in running.copy():
+                stop(process)
+            raise
     rows = [row for rows in found for row in rows]
     here = provenance("cpu", "float64")
     made_by = {name: here[name] for name in ("cpu", "commit")}
@@ -50,11 +63,12 @@ def study_stability(directory: Path, force, _monitor, command: str, quick: bool,
         "about": about_what,
         "title": "Numerical stability on hard cases" + (", quick" if quick else ""),
         "lead": "What breaks, where, and how it is noticed. A figure is the measure that its row names; it must not "
-        "pass its limit, which is physical or has the reason given.",
+        "pass its limit, which is physical or has the reason given."
+        + (f" Cases that only take runs of a solver: on {workers.ranks} MPI ranks." if workers.ranks > 1 else ""),
         "verdict": verdict(checks),
         "checks": checks,
         "sections": [
-            _pictures(cases, folder, version, directory),
+            _pictures(cases, answers, directory),
             {"title": "All figures", "text": [], "tables": [table], "figures": []},
         ],
         "provenance": here | {"code": version, "report made by": command},
@@ -63,19 +77,25 @@ def study_stability(directory: Path, force, _monitor, command: str, quick: bool,
     }
 
 
-def _rows(case: Case, folder: Path, version: str, force: bool) -> list[dict]:
-    """The rows of one case: kept ones, or those of a process that runs it now."""
-    path = _answer(case, folder, version)
+def _rows(case: Case, path: Path, ranks: int, force: bool, running: set[subprocess.Popen]) -> list[dict]:
+    """The rows of one case: those kept at `path`, or those of a process that runs it now and is one of `running`."""
     if force:
         path.unlink(missing_ok=True)
     started = time.perf_counter()
     if not (path.is_file() and path.with_suffix(".png").is_file()):
-        asked = [sys.executable, "-P", "-m", "compare.studies.stability", case.name, str(path)]
+        nowhere, pipe = subprocess.DEVNULL, subprocess.PIPE
+        words = ["-P", "-m", "compare.studies.stability", case.name, str(path)]
+        process = start(ranks, words, stdin=nowhere, stdout=nowhere, stderr=pipe, text=True)
+        running.add(process)
         try:
-            said = subprocess.run(asked, capture_output=True, text=True, env=os.environ | ONE_THREAD, timeout=LONGEST)
-            how = f"exit code {said.returncode}: {(said.stderr.strip().splitlines() or ['without a word'])[-1]}"
+            lines = sorted_lines(process.communicate(timeout=LONGEST)[1].strip().splitlines())
+            said = [line for line, is_launchers in lines if not is_launchers]
+            how = f"exit code {process.returncode}: {(said or ['without a word'])[-1]}"
         except subprocess.TimeoutExpired:
+            process.terminate()  # a launcher ends its ranks then
+            process.communicate()
             how = f"no answer after {LONGEST:g} s"
+        running.discard(process)
     if path.is_file():
         rows = json.loads(path.read_text(encoding="utf-8"))
     else:
@@ -86,16 +106,17 @@ def _rows(case: Case, folder: Path, version: str, force: bool) -> list[dict]:
     return rows
 
 
-def _answer(case: Case, folder: Path, version: str) -> Path:
-    """Where the rows of a case are kept; its picture lies beside, as PNG."""
-    return folder / f"{case.name.replace(' ', '-')}-{version}.json"
+def _answer(case: Case, folder: Path, version: str, ranks: int) -> Path:
+    """Where the rows of a case on so many ranks are kept; its picture lies beside, as PNG."""
+    several = f"-{ranks}-ranks" if ranks > 1 else ""
+    return folder / f"{case.name.replace(' ', '-')}-{version}{several}.json"
 
 
-def _pictures(cases: list[Case], folder: Path, version: str, directory: Path) -> dict:
-    """The picture of each case; a process that died left none."""
+def _pictures(cases: list[Case], answers: list[Path], directory: Path) -> dict:
+    """The picture of each case, beside its answer; a process that died left none."""
     figures = []
-    for case in cases:
-        picture = _answer(case, folder, version).with_suffix(".png")
+    for case, answer in zip(cases, answers, strict=True):
+        picture = answer.with_suffix(".png")
         if picture.is_file():
             meant = " ".join((case.run.__doc__ or "").split())
             figures.append(figure(str(picture.relative_to(directory)), f"{case.name}: {meant}"))
@@ -124,8 +145,12 @@ def _version() -> str:
     return digest.hexdigest()[:12]
 
 
-if __name__ == "__main__":
-    name, answer = sys.argv[1:]
+def _work(name: str, answer: Path):
+    """Run a case, and leave its rows and its picture at `answer`."""
     found, shown = judge(next(case for case in CASES if case.name == name))
-    Path(answer).write_text(json.dumps(found), encoding="utf-8")
-    draw_case(found, shown, Path(answer).with_suffix(".png"))
+    answer.write_text(json.dumps(found), encoding="utf-8")
+    draw_case(found, shown, answer.with_suffix(".png"))
+
+
+if __name__ == "__main__":
+    take_part(lambda: _work(sys.argv[1], Path(sys.argv[2])))

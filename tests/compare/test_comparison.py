@@ -5,6 +5,7 @@ import html
 import importlib.util
 import json
 import re
+import shutil
 import sys
 
 import numpy as np
@@ -15,6 +16,7 @@ from compare.batch import Outcome
 from compare.checks import quasistatic_checks
 from compare.cli import main as cli
 from compare.comparison import _distances, plan
+from compare.launch import start
 from compare.plots.reports import pareto_front
 from compare.report.page import refuse_another
 from compare.report.sections import check, soil_section, verdict
@@ -28,6 +30,9 @@ from mpm.theory import quasistatic_profile
 pytestmark = pytest.mark.skipif(
     None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
     reason="dolfinx or petsc4py is not installed (see ./repose info)",
+)
+needs_mpiexec = pytest.mark.skipif(
+    shutil.which("mpiexec") is None, reason="no mpiexec in PATH: it comes with dolfinx (see ./repose info)"
 )
 SHORT = ("--set", "grid.cell=0.25", "--set", "explicit.max_time=0.2", "--set", "implicit.max_steps=3")
 
@@ -272,14 +277,24 @@ def test_a_grid_that_does_not_fit_twice_the_cell_is_compared_alone():
     assert [one.name for one in plan("column_small", ["grid.cell=0.2"], "cpu")] == ["implicit", "explicit"]
 
 
-def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path, monkeypatch):
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=needs_mpiexec)])
+def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path, monkeypatch, ranks):
+    """Cases of a solver's runs on ranks, where these are asked for, the others on one."""
     from compare.hard.case import Case
     from compare.studies import stability as study_stability
 
+    taken = []
+
+    def counting(ranks, words, **options):
+        taken.append(ranks)
+        return start(ranks, words, **options)
+
+    monkeypatch.setattr(study_stability, "start", counting)
     there = [case for case in study_stability.CASES if case.name == "coarse, implicit"]
     monkeypatch.setattr(study_stability, "CASES", [*there, Case("no such case", None, False)])
     folder = tmp_path / "out"
-    assert repose("study", "stability", "--quick", "--out", folder) == 3
+    assert repose("study", "stability", "--quick", "--jobs", 1, "--ranks", ranks, "--out", folder) == 3
+    assert taken == [ranks, 1]
     report = json.loads((folder / "report.json").read_text())
     outcomes = [row["outcome"] for row in report["rows"]]
     assert outcomes == ["stable"] * 6 + ["died"]
