@@ -6,7 +6,11 @@ import importlib.util
 import json
 import re
 import shutil
+import signal
+import subprocess
 import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -34,6 +38,7 @@ pytestmark = pytest.mark.skipif(
 needs_mpiexec = pytest.mark.skipif(
     shutil.which("mpiexec") is None, reason="no mpiexec in PATH: it comes with dolfinx (see ./repose info)"
 )
+LONGEST = 120  # seconds: nothing hangs
 SHORT = ("--set", "grid.cell=0.25", "--set", "explicit.max_time=0.2", "--set", "implicit.max_steps=3")
 
 
@@ -303,6 +308,31 @@ def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path
     (picture,) = report["sections"][0]["figures"]  # a process that died left none
     assert picture["caption"].startswith("coarse, implicit: ") and (folder / picture["file"]).stat().st_size > 10_000
     assert len(rows_of(folder)) == 7
+
+
+@needs_mpiexec
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_study_of_stability_that_is_stopped_leaves_nothing_running(tmp_path, ranks_below, number):
+    """Ctrl-C and `kill`, while two ranks compute a case of minutes."""
+    program = """
+from compare.studies import stability
+stability.CASES[:] = [case for case in stability.CASES if case.name == "friction, implicit"]
+from compare.cli.main import main
+main()
+"""
+    words = ["study", "stability", "--ranks", "2", "--jobs", "1", "--out", str(tmp_path / "out")]
+    process = subprocess.Popen([sys.executable, "-c", program, *words], stderr=subprocess.PIPE, text=True)
+    started = time.monotonic()
+    while len(ranks := ranks_below(process.pid)) < 2:
+        assert process.poll() is None and time.monotonic() - started < LONGEST
+        time.sleep(0.1)
+    time.sleep(1.0)
+    process.send_signal(number)
+    said = process.communicate(timeout=LONGEST)[1]
+    assert process.returncode == 130, said
+    while any(Path(f"/proc/{rank}").exists() for rank in ranks):
+        assert time.monotonic() - started < LONGEST
+        time.sleep(0.1)
 
 
 def test_pareto_front_is_what_nothing_beats_in_both():
