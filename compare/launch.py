@@ -34,7 +34,7 @@ OPEN_MPI = {
 # Ranks on one host need no network, whose search for a way Open MPI 5 comments on where it finds none.
 ON_THIS_HOST = {"OMPI_MCA_btl": "^tcp"}
 LEFT_BY_MPI = ("OMPI_", "PMIX_", "PRTE_", "PMI_")
-RULE = "-----"  # starts the lines between which a launcher speaks of itself
+RULE = 40 * "-"  # of the lines between which a launcher speaks of itself
 STOPPED_EARLY = (128 + signal.SIGUSR1, -signal.SIGUSR1)  # exit codes where Ctrl-C came before anything listened to it
 
 
@@ -188,7 +188,10 @@ def sorted_lines(lines):
     quoting = False
     for line in lines:
         line = line.replace("\0", "")  # Open MPI 5 may send one ahead of the line before an abort
-        if line.startswith(RULE):
+        said, rule, rest = line.partition(RULE)
+        if rule and said:  # a rank's line whose end the launcher has overtaken
+            yield said + rest.strip("-"), quoting
+        if rule:
             quoting = not quoting
         else:
             yield line, quoting

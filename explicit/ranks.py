@@ -12,7 +12,8 @@ from mpi4py import MPI
 
 from explicit.dials import Seen
 from explicit.kernels import layout as K
-from explicit.solver import POINT_ARRAYS, POINT_STATE, ExplicitSolver
+from explicit.kernels.layout import POINT_ARRAYS, POINT_STATE
+from explicit.solver import ExplicitSolver
 from explicit.staged import Buffers, StagedStep
 from mpm.body import Body
 from mpm.devices import device_of_rank

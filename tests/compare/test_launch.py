@@ -102,8 +102,10 @@ def test_what_mpi_left_behind_does_not_reach_the_ranks():
 
 
 def test_lines_of_the_launcher_are_told_from_those_of_ranks():
-    said = ["a\n", "-----\n", "mpiexec noticed\n", "-----\n", "\0b\n"]
-    assert list(sorted_lines(said)) == [("a\n", False), ("mpiexec noticed\n", True), ("b\n", False)]
+    rule = 74 * "-" + "\n"
+    said = ["a\n", rule, "mpiexec noticed\n", rule, "\0b\n", "c" + rule, "mpiexec noticed\n", rule]
+    told = [("a\n", False), ("mpiexec noticed\n", True), ("b\n", False), ("c\n", False), ("mpiexec noticed\n", True)]
+    assert list(sorted_lines(said)) == told
 
 
 @needs_mpi

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import warp as wp
 
-from explicit.run import ExplicitRun
+from explicit.run import ExplicitRun, solver_of
 from explicit.solver import ExplicitSolver
 from mpm.body import build
-from mpm.devices import find_device, start_warp
+from mpm.devices import start_warp
 from mpm.load import load_scene
 from mpm.results import Results
 from mpm.seed import seed
@@ -73,7 +73,8 @@ def test_a_checkpoint_of_an_earlier_version_is_taken_over(tmp_path, precision):
     """It has no such array: its points start anew with nothing lost."""
     scene = load_scene("column_1", ["grid.cell=0.25", f"explicit.precision={precision}"])
     results = Results.create(tmp_path / "run", scene, {"device": "cpu", "device_name": "-"})
-    run = ExplicitRun(build(scene), results, find_device("cpu"))
+    body = build(scene)
+    run = ExplicitRun(body, results, solver_of(body, "cpu"))
     run.begin()
     state = results.read_checkpoint()
     del state["lost"]
