@@ -123,6 +123,7 @@ def paper_grid() -> str:
 def implicit() -> str:
     """docs/implicit.md: implicit collapses beside Eq. 4 and the explicit solver."""
     known, rows = explicit_runs(), []
+    from_none = {(row["lambda0"], row["cells"]): row for row in plain(rows_of(FROM_NONE))}
     for row in implicit_runs():
         ratio, cells, run_out = float(row["lambda0"]), float(row["cells"]), float(row["R_995"])
         other = known.get((ratio, DAMPED, cells))
@@ -130,10 +131,10 @@ def implicit() -> str:
         rows.append(
             [row["lambda0"], row["cells"], f"{run_out:.3f}", percent(over_eq4(row)), *beside,
              percent(float(row["volume_ratio"]) - 1.0, 2), f"{float(row['h_inf']):.3f}", row["steps"],
-             row["newton_iterations"]]
+             row["newton_iterations"], from_none[row["lambda0"], row["cells"]]["newton_iterations"]]
         )  # fmt: skip
     columns = ["lambda0", "cells per r0", "R_995", "over Eq. 4", "explicit, D = 0.4", "over explicit", "volume"]
-    return markdown([*columns, "h_inf [m]", "steps", "Newton iterations"], rows)
+    return markdown([*columns, "h_inf [m]", "steps", "Newton iterations", "from u = 0"], rows)
 
 
 def creep() -> str:
@@ -274,6 +275,7 @@ def measured(row: dict[str, str], measure: str) -> Estimate | None:
 
 LADDER, TWENTY = "explicit_ladder_h200.csv", "explicit_twenty_h200.csv"
 IMPLICIT, ENSEMBLES = "implicit_collapses_cpu.csv", "ensembles_cpu.csv"
+FROM_NONE = "implicit_from_none_cpu.csv"  # runs of the same collapses in which Newton started from u = 0
 TABLES = {
     "reproduces": reproduces,
     "paper": paper,

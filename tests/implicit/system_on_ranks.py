@@ -5,6 +5,7 @@ mpiexec -n N python tests/implicit/system_on_ranks.py FILE.npz quarter|full|sett
 
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from implicit.newton import Tangent, matrix_of
 from implicit.points import Basis, Points
 from implicit.pseudo_time import Regularisation
 from implicit.ranks import Domain
+from implicit.run import run
 from implicit.system import System
 from mpm.body import build
 from mpm.devices import start_warp
@@ -23,6 +25,13 @@ from mpm.domains import cut_plan, owner_of
 from mpm.load import load_scene
 
 WAVES = np.array([[1.3, 0.7, 2.1], [0.4, 1.9, 0.3], [2.2, 0.1, 1.1]])  # of fields over the lattice
+
+
+def collapses(folder: str, starts: int) -> list[dict]:
+    """Collapses on 6 cells per r0 to rest, from so many random starts; the summary of each."""
+    settings = [f"grid.cell={1 / 6}", "grid.scatter=0.5", "output.vtk=false"]
+    scenes = [load_scene("column_small", [*settings, f"grid.realisation={start}"]) for start in range(starts)]
+    return [run(scene, Path(folder) / f"run{start}") for start, scene in enumerate(scenes)]
 
 
 def fields(comm, symmetry) -> dict[str, np.ndarray]:

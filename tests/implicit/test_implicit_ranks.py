@@ -17,7 +17,7 @@ if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc
 if shutil.which("mpiexec") is None:
     pytest.skip("no mpiexec in PATH: it comes with dolfinx (see ./repose info)", allow_module_level=True)
 
-from system_on_ranks import fields, settled
+from system_on_ranks import collapses, fields, settled
 
 from compare import launch
 from implicit._dolfinx import MPI
@@ -85,25 +85,36 @@ def test_each_preconditioner_solves_as_on_one_rank(tmp_path):
             np.testing.assert_allclose(found[kind], alone["lu"], rtol=0, atol=limit, err_msg=kind)
 
 
+STARTS = 5
+
+
 @pytest.fixture(scope="module")
 def collapsed(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("one") / "run"
-    command("run", "column_small", *SIX_CELLS, "--out", folder)
-    return Results.open(folder)
+    """Collapses on one rank."""
+    return collapses(str(tmp_path_factory.mktemp("one")), STARTS)
 
 
 @pytest.mark.parametrize("ranks", [2, *(pytest.param(more, marks=pytest.mark.slow) for more in (3, 4))])
-def test_a_collapse_is_that_of_one_rank(collapsed, tmp_path, ranks):
-    """Newton's counts too, though linear systems are solved to a tenth and sweeps go over the rows of each rank."""
-    command("run", "column_small", *SIX_CELLS, "--out", tmp_path / "run", "--ranks", ranks)
-    many = Results.open(tmp_path / "run")
-    a, b = collapsed.summary(), many.summary()
-    assert (b["stop_reason"], b["failed_steps"]) == ("rest", 0)
-    assert b["newton_iterations"] == pytest.approx(a["newton_iterations"], rel=0.05)
-    assert b["R_995"] == pytest.approx(a["R_995"], rel=0.015)
-    assert b["h_inf"] == pytest.approx(a["h_inf"], rel=0.005)
-    assert b["nodes_stored_start"] == a["nodes_stored_start"]
-    assert crossed(many, ranks) > 0
+def test_collapses_are_those_of_one_rank(collapsed, tmp_path, monkeypatch, ranks):
+    """Newton's counts too, though linear systems are solved to a tenth and sweeps go over the rows of each rank.
+
+    So Newton's way is another one, and a single collapse can take 10 % more or fewer iterations, as one from another
+    start can: the counts of several starts are compared, and their mean run-outs.
+    """
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(SYSTEM.parent), os.environ.get("PYTHONPATH", "")]))
+    found = launch.call(ranks, collapses, str(tmp_path), STARTS)
+    assert all((each["stop_reason"], each["failed_steps"]) == ("rest", 0) for each in found)
+    assert total(found, "newton_iterations") == pytest.approx(total(collapsed, "newton_iterations"), rel=0.05)
+    assert total(found, "R_995") == pytest.approx(total(collapsed, "R_995"), rel=0.015)
+    assert total(found, "h_inf") == pytest.approx(total(collapsed, "h_inf"), rel=0.005)
+    for many, one in zip(found, collapsed, strict=True):
+        assert many["R_995"] == pytest.approx(one["R_995"], rel=0.015)
+        assert many["nodes_stored_start"] == one["nodes_stored_start"]
+    assert all(crossed(Results.open(folder), ranks) > 0 for folder in tmp_path.iterdir())
+
+
+def total(summaries, name):
+    return sum(each[name] for each in summaries)
 
 
 def crossed(results, ranks) -> int:
