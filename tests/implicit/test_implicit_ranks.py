@@ -85,7 +85,7 @@ def test_each_preconditioner_solves_as_on_one_rank(tmp_path):
             np.testing.assert_allclose(found[kind], alone["lu"], rtol=0, atol=limit, err_msg=kind)
 
 
-STARTS = 5
+STARTS = 20  # a count scatters by 6 % from start to start, so that the ratio of both sums does by 2 %
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +99,7 @@ def test_collapses_are_those_of_one_rank(collapsed, tmp_path, monkeypatch, ranks
     """Newton's counts too, though linear systems are solved to a tenth and sweeps go over the rows of each rank.
 
     So Newton's way is another one, and a single collapse can take 10 % more or fewer iterations, as one from another
-    start can: the counts of several starts are compared, and their mean run-outs.
+    start can: the counts of many starts are compared, and their mean run-outs.
     """
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(SYSTEM.parent), os.environ.get("PYTHONPATH", "")]))
     found = launch.call(ranks, collapses, str(tmp_path), STARTS)
@@ -108,7 +108,6 @@ def test_collapses_are_those_of_one_rank(collapsed, tmp_path, monkeypatch, ranks
     assert total(found, "R_995") == pytest.approx(total(collapsed, "R_995"), rel=0.015)
     assert total(found, "h_inf") == pytest.approx(total(collapsed, "h_inf"), rel=0.005)
     for many, one in zip(found, collapsed, strict=True):
-        assert many["R_995"] == pytest.approx(one["R_995"], rel=0.015)
         assert many["nodes_stored_start"] == one["nodes_stored_start"]
     assert all(crossed(Results.open(folder), ranks) > 0 for folder in tmp_path.iterdir())
 
