@@ -28,8 +28,8 @@ def softened_settings(reference: str, settings: list[str]) -> tuple[str, ...]:
     if used == body.constants:
         return ()
     bulk, shear = used.bulk, used.shear
-    young, poisson = 9 * bulk * shear / (3 * bulk + shear), (3 * bulk - 2 * shear) / (2 * (3 * bulk + shear))
-    return f"material.young={young!r}", f"material.poisson={poisson!r}"
+    poisson = (3 * bulk - 2 * shear) / (2 * (3 * bulk + shear))
+    return f"material.young={used.young!r}", f"material.poisson={poisson!r}"
 
 
 def stiffness_rows(rows: list[dict], base: float) -> list[dict]:
