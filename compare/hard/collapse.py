@@ -247,6 +247,13 @@ def _checkerboard(mode, *settings):
             roughness(run) / roughness(base), 2.0, ROUGH_REASON,
             f"{roughness(run):.3f} against {roughness(base):.3f} of the mean pressure", run,
         )  # fmt: skip
+    finer = collapse(mode, LOW, EIGHTH, STANDING, *settings, _poisson(0.499))
+    yield Finding(
+        "nu = 0.499: pressure scatter in a cell of half the size, times that of the whole", mode,
+        roughness(finer) / roughness(runs[-1]), 0.6,
+        "what varies smoothly does so half as much over half a cell; a checkerboard stays as it is",
+        f"{roughness(finer):.3f} against {roughness(runs[-1]):.3f} of the mean pressure", finer,
+    )  # fmt: skip
 
 
 def _incompressible_collapse(mode, *scene):

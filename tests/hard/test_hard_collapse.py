@@ -11,7 +11,8 @@ FRICTION = (
 COARSE = [f"{cells} cells per r0: {what}" for cells in (2, 3, 4) for what in ("numbers not finite", "mass")]
 REFUSED = [f"{cells} cells per r0: stops without a reason" for cells in (2, 3)]  # their ledger misses 6 and 7 %
 SCATTER = "nu = {}: pressure scatter in a cell of a standing column, times that at 0.3"
-CHECKERBOARD = [SCATTER.format(nu) for nu in (0.49, 0.499)]
+FALLS = "nu = 0.499: pressure scatter in a cell of half the size, times that of the whole"
+CHECKERBOARD = [*(SCATTER.format(nu) for nu in (0.49, 0.499)), FALLS]
 INCOMPRESSIBLE = [f"nu = {nu}: R" for nu in (0.49, 0.499)]
 ASKED = {
     "tall": (
@@ -50,7 +51,7 @@ ASKED = {
         ],
     ),
 }
-ROUGH = "nearly incompressible and cohesive: nodes' averages leave 2.5 times the scatter"
+ROUGH = "nearly incompressible and cohesive: the fixed rim of the base, where it falls with the cell"
 MISSED = {  # what does not hold: (figure, why)
     ("near-incompressible", SCATTER.format(0.499)): (2.458, ROUGH),
     ("near-incompressible, implicit", SCATTER.format(0.499)): (2.632, ROUGH),
