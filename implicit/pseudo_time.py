@@ -8,10 +8,11 @@ overstress. All three act on the increment and vanish with it.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from mpm.body import Body
 from mpm.runout import REST_WINDOW
+from mpm.stiffness import STIFFEST, limit_both
 
 GHOST_FADES = 0.5  # step in sqrt(cell/g) beyond which the ghost penalty falls: what it holds must come down in the end
 # Out-of-balance over external force, below which the body may be at rest. A heap creeps on below it, ever more slowly,
@@ -34,7 +35,7 @@ class Regularisation:
     1/dt. `viscosity` [-]: overstress per plastic shear strain of a step, over rho g h0. `reach` [-]: distance in
     cells that all but 2 % of the points may go in a step. `cap` [-]: longest step, in sqrt(cell/g). `iterations` [-]:
     of Newton in a step; after fewer the next step is longer, after more it is shorter. `stiffest` [-]: Young's modulus
-    over rho g h0 up to which a cohesionless material keeps its own moduli (see `limit_stiffness`).
+    over rho g h0 up to which a cohesionless material keeps its own moduli (see `mpm.stiffness`).
     """
 
     drag: float = 1.0
@@ -44,38 +45,24 @@ class Regularisation:
     reach: float = 0.3
     cap: float = 12.0
     iterations: float = 6.0
-    stiffest: float = 600.0
+    stiffest: float = STIFFEST
 
     def of_step(self, body: Body, dt: float) -> dict[str, float]:
         """Arguments of `System.set_regularisation` for a step of `dt` [s]."""
         cell, gravity = body.scene.grid.cell, body.scene.loads.gravity
-        pressure = body.constants.density * gravity * body.height
         fading = min(1.0, GHOST_FADES * math.sqrt(cell / gravity) / dt)
         return {
             "drag": self.drag,
             # gamma h/3 times the square of the jump, integrated over the faces around a node, h^2 in all
-            "ghost": self.ghost * fading * pressure * cell / 3.0,
-            "viscous": self.viscosity * pressure / body.constants.shear,
+            "ghost": self.ghost * fading * body.overburden * cell / 3.0,
+            "viscous": self.viscosity * body.overburden / body.constants.shear,
             "dt": dt,
             "momentum": self.momentum,
         }
 
     def limit_stiffness(self, body: Body) -> Body:
-        """The body as its collapse is followed: K and G at most what E = `stiffest` rho g h0 and nu = 0.3 give.
-
-        A stiffer material has its kinks closer together, in displacement by the ratio of the moduli, and Newton needs
-        as many more steps, for a deposit that rests on friction and volume and not on elastic strains of a
-        thousandth: benchmarks/results/implicit_stiffness_cpu.csv. The stress at rest balances gravity whatever the
-        modulus. What has cohesion, is elastic or gets its gravity in load steps keeps its moduli: there displacements
-        that are elastic matter. A cohesionless heap that stands settles by at most h0/600 too much.
-        """
-        scene, constants = body.scene, body.constants
-        collapses = constants.plastic and constants.xi == 0 and scene.loads.initial_stress != "none"
-        if not collapses:
-            return body
-        most = self.stiffest * constants.density * scene.loads.gravity * body.height
-        bulk, shear = min(constants.bulk, most / 1.2), min(constants.shear, most / 2.6)  # 3(1 - 2 nu), 2(1 + nu)
-        return replace(body, constants=replace(constants, bulk=bulk, shear=shear))
+        """The body as its collapse is followed (see `mpm.stiffness`); in load steps it keeps its moduli."""
+        return limit_both(body, self.stiffest) if body.scene.loads.initial_stress != "none" else body
 
 
 class StepLength:

@@ -34,6 +34,11 @@ class Body:
         gravity = self.scene.loads.gravity
         return float(np.sqrt(self.height / gravity)) if gravity > 0 else float("inf")
 
+    @property
+    def overburden(self) -> float:
+        """rho g h0 [Pa], the vertical stress at the base of a column."""
+        return self.constants.density * self.scene.loads.gravity * self.height
+
 
 def build(scene: Scene, seeds: Seeds | None = None) -> Body:
     """Seed the points of a scene, or take `seeds` kept from an earlier time (a mesh file may be gone by then).

@@ -21,10 +21,9 @@ def packing(x, volume, pressure, body: Body) -> dict[str, float | None]:
     cells = np.clip(cells, np.array(body.walls.low), np.array(body.walls.high) - 1)  # hardly beyond a wall
     cells, count = np.unique(cells, axis=0, return_counts=True)
     inside = count[_full(cells, body)]
-    weight = body.constants.density * body.scene.loads.gravity * body.height
     return {
         "volume_ratio": float(np.sum(volume) / (body.point_volume * len(body.x))),
-        "pressureless_share": float(np.mean(np.asarray(pressure) <= PRESSURELESS * weight)),
+        "pressureless_share": float(np.mean(np.asarray(pressure) <= PRESSURELESS * body.overburden)),
         "most_points_in_a_cell": int(count.max()),
         "full_cell_ratio": float(inside.mean() / POINTS_IN_A_CELL) if inside.size else None,
     }

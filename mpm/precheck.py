@@ -69,13 +69,12 @@ def _geostatic(body: Body, mode: str) -> list[str]:
 
 def doubts(body: Body) -> list[str]:
     """Values that look like another unit than the key's, a line each; a run takes them all the same."""
-    material, gravity = body.scene.material, body.scene.loads.gravity
+    material, weight = body.scene.material, body.overburden
     angle, found = material.friction_angle, []
     if material.model != "elastic" and 0 < angle < LEAST_ANGLE:
         meant = np.degrees(angle)
         in_radians = f"in radians it would be {meant:.4g} degrees" if meant <= 80 else "sand has 25 to 45"
         found.append(f"material.friction_angle = {angle:g}: is it in degrees? {in_radians}")
-    weight = material.density * gravity * body.height
     if material.young < LEAST_STIFFNESS * weight:
         found.append(
             f"material.young = {material.young:g}: is it in Pa? It is {material.young / weight:.2g} rho g h0, and a "

@@ -1,24 +1,43 @@
-"""Moduli that the explicit solver follows a collapse with, where the material's own would only cost time steps."""
+"""Moduli that a cohesionless collapse is followed with, where the material's own would only cost steps.
+
+Its deposit rests on friction and volume and not on elastic strains of a thousandth, and the stress at rest balances
+gravity whatever the moduli. What has cohesion can stand, and what is elastic does: there elastic displacements matter,
+and the moduli are kept.
+"""
 
 from dataclasses import replace
 
 from mpm.body import Body
 
-INCOMPRESSIBLE = 500.0  # K over rho g h0: the base is compressed by 0.2 % of its height at most
-BULK_OVER_SHEAR = 2.6 / 1.2  # of nu = 0.3
+STIFFEST = 600.0  # Young's modulus over rho g h0: with nu = 0.3 the base is compressed by 0.2 % of its height at most
+OF_BULK, OF_SHEAR = 1.2, 2.6  # E/K = 3 (1 - 2 nu) and E/G = 2 (1 + nu) of nu = 0.3
 
 
 def limit_bulk(body: Body) -> Body:
-    """The body with K at most `INCOMPRESSIBLE` rho g h0, or G times that of nu = 0.3 where this is more.
+    """The body with K at most that of E = `STIFFEST` rho g h0 and nu = 0.3, or G times that of nu = 0.3 where more.
 
-    So for cohesionless material, whose deposit rests on friction and volume. As nu -> 0.5 K grows without bound and the
-    time step falls as 1/sqrt(K), for a volume that less of it keeps as well. And pressure waves, which hardly anything
-    damps, then let the cone give way at each of their troughs: at nu = 0.499, K = 5e4 rho g h0, a column of lambda0 = 1
-    ran half as far again (D = 0.05). What has cohesion can stand, and keeps its moduli.
+    As nu -> 0.5 K grows without bound and the explicit time step falls as 1/sqrt(K), for a volume that less of it keeps
+    as well. And pressure waves, which hardly anything damps, then let the cone give way at each of their troughs: at
+    nu = 0.499, K = 5e4 rho g h0, a column of lambda0 = 1 ran half as far again (D = 0.05).
     """
+    constants = body.constants
+    most = max(STIFFEST * body.overburden / OF_BULK, OF_SHEAR / OF_BULK * constants.shear)
+    return _with(body, min(constants.bulk, most), constants.shear)
+
+
+def limit_both(body: Body, stiffest: float) -> Body:
+    """The body with K and G at most those of E = `stiffest` rho g h0 and nu = 0.3.
+
+    A stiffer material has its kinks closer together, in displacement by the ratio of the moduli, and Newton needs as
+    many more steps: benchmarks/results/implicit_stiffness_cpu.csv. A heap that stands settles by h0/600 too much, at
+    most.
+    """
+    constants, most = body.constants, stiffest * body.overburden
+    return _with(body, min(constants.bulk, most / OF_BULK), min(constants.shear, most / OF_SHEAR))
+
+
+def _with(body: Body, bulk: float, shear: float) -> Body:
     constants = body.constants
     if not constants.plastic or constants.xi > 0:
         return body
-    weight = constants.density * body.scene.loads.gravity * body.height
-    most = max(INCOMPRESSIBLE * weight, BULK_OVER_SHEAR * constants.shear)
-    return replace(body, constants=replace(constants, bulk=min(constants.bulk, most)))
+    return replace(body, constants=replace(constants, bulk=bulk, shear=shear))

@@ -116,7 +116,7 @@ def roughness(run: Run) -> float:
     cell, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)[1:]
     cell = np.ravel(cell)
     mean = (np.bincount(cell, p) / count)[cell]
-    loaded = mean > 0.01 * body.constants.density * body.scene.loads.gravity * body.height
+    loaded = mean > 0.01 * body.overburden
     return float(np.abs(p - mean)[loaded].mean() / p[loaded].mean())
 
 
