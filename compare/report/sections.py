@@ -170,8 +170,10 @@ def about(outcomes: list[Outcome], command: str) -> dict:
     here = provenance("cpu", "float64") | libraries
     del here["precision"], here["device"], here["device_name"]
     of_runs = [one.results.provenance for one in outcomes if one.done]
-    for name in ("commit", "code", "device_name", "cpu", "warp", "date"):
+    for name in ("commit", "code", "device_name", "cpu", "warp"):
         here[f"{name} of the runs"] = ", ".join(sorted({str(one[name]) for one in of_runs})) or "none ended"
+    dates = sorted(one["date"] for one in of_runs)
+    here["dates of the runs"] = " to ".join(dict.fromkeys((dates[0], dates[-1]))) if dates else "none ended"
     return here | {"report made by": command}
 
 
