@@ -19,6 +19,7 @@ from mpm.body import Body
 from mpm.devices import device_of_rank
 from mpm.domains import Halo, shared_pencils
 from mpm.geostatic import initial_strain
+from mpm.law_state import by_name, by_point
 from mpm.parts import Gathered, Part, Whole
 from mpm.stiffness import limit_bulk
 from mpm.watch import Look, look
@@ -72,7 +73,7 @@ class Domain(Part, ExplicitSolver):
     def held(self) -> list[str]:
         """Names of the arrays that the material has, whether there are points here or not."""
         constants = self.whole.constants
-        spare = {"dilated": constants.plastic and constants.eta_bar > 0, "eps_p_eqv": constants.plastic}
+        spare = {"dilated": constants.plastic and constants.eta_bar > 0, "law_state": constants.plastic}
         spare["lost"] = self.real == wp.float32
         return [name for name in POINT_ARRAYS if spare.get(name, True)]
 
@@ -138,12 +139,12 @@ class Domain(Part, ExplicitSolver):
 
     def restore(self, state: dict[str, np.ndarray]):
         """Take this rank's part of a state of the whole body."""
-        mine = self.cut_anew(state["x"])
+        mine, state = self.cut_anew(state["x"]), by_point(state)
         rows = {name: state[name][mine] for name in self.held if name != "carry"}
         self.take(rows | {"carry": np.zeros_like(rows["v"]), "id": mine})
         spare = {name: state[name][:0] for name in POINT_STATE}
         ledger = state["ledger"] if self.comm.rank == 0 else np.zeros_like(state["ledger"])
-        super().restore(state | spare | rows | {"ledger": ledger})
+        super().restore(by_name(state | spare | rows | {"ledger": ledger}))
 
     def ledger_rows(self) -> np.ndarray:
         """Time integrals of power [J] of this rank's points and nodes."""
@@ -232,7 +233,7 @@ class RankedSolver(Whole):
         """Everything a restart needs, of the whole body; `restore` takes it back on any number of ranks."""
         state = {name: getattr(self, name).numpy() for name in POINT_STATE}
         state |= {name: getattr(self.part, name).numpy().copy() for name in ("clock", "speed")}
-        return state | {"ledger": sum(self.ask("each", "ledger_rows"))}
+        return by_name(state) | {"ledger": sum(self.ask("each", "ledger_rows"))}
 
     def restore(self, state: dict[str, np.ndarray]):
         """Take over a state made by `state`, on this or another number of ranks."""

@@ -9,6 +9,7 @@ from explicit.solver import ExplicitSolver
 from mpm.body import Body, build
 from mpm.devices import find_device
 from mpm.errors import NumericalError, StepRefused
+from mpm.law_state import variables
 from mpm.precheck import refuse
 from mpm.provenance import code_version, provenance
 from mpm.ranks import world
@@ -217,7 +218,7 @@ class ExplicitRun(Run):
             "stress": lambda: solver.sigma,
             "volume_ratio": lambda: solver.volume_ratio,
         }
-        return own | ({"eps_p_eqv": solver.eps_p_eqv.numpy} if self.body.constants.plastic else {})
+        return own | (variables(solver.law_state) if self.body.constants.plastic else {})
 
     def figures(self) -> dict:
         """What the explicit solver adds to the summary."""

@@ -23,6 +23,7 @@ from explicit.sparse_grid import SparseGrid
 from mpm.body import Body
 from mpm.errors import NumericalError, StepRefused
 from mpm.geostatic import initial_strain
+from mpm.law_state import by_name, by_point, first_law_state
 from mpm.precheck import over_courant
 from mpm.stiffness import limit_bulk
 from mpm.watch import Look, look
@@ -40,8 +41,8 @@ class ExplicitSolver:
 
     Point arrays, all (n,) in the body's order, also in `arrays` as kernels take them: `x`, `v`, `carry` vec3 [m, m/s],
     `tau` vec6 [Pa] Kirchhoff stress in order xx, yy, zz, yz, xz, xy, `theta` [-] volume strain that bears pressure,
-    `dilated` [-] plastic volume strain, `eps_p_eqv` [-]. The last two are empty where the material has no use for them.
-    `lost` vec3 [m]: what float32 has left out of `x`, empty in float64.
+    `dilated` [-] plastic volume strain, `law_state` (n, variables) what the law remembers. The last two are empty
+    where the material has no use for them. `lost` vec3 [m]: what float32 has left out of `x`, empty in float64.
 
     `fused`: take steps in four launches (`explicit.fused`) in place of nine phases, and look at the points on the
     device (`explicit.device_look`); so on a GPU, unless told otherwise.
@@ -117,7 +118,7 @@ class ExplicitSolver:
         self.tau = wp.array(stress, dtype=k.vec6, device=self.device)
         self.theta = wp.array(self.theta_start, dtype=self.real, device=self.device)
         self.dilated = self._zeros(n if constants.plastic and constants.eta_bar > 0 else 0, self.real)
-        self.eps_p_eqv = self._zeros(n if constants.plastic else 0, self.real)
+        self.law_state = wp.array(first_law_state(constants, n), dtype=k.LawState, device=self.device)
         self._pack_points()
 
     def _initial_strain(self, body) -> np.ndarray:
@@ -404,10 +405,11 @@ class ExplicitSolver:
     def state(self) -> dict[str, np.ndarray]:
         """Everything a restart needs, as host arrays; `restore` takes it back to the bit."""
         names = (*POINT_STATE, "clock", "speed", "ledger")
-        return {name: getattr(self, name).numpy().copy() for name in names}
+        return by_name({name: getattr(self, name).numpy().copy() for name in names})
 
     def restore(self, state: dict[str, np.ndarray]):
         """Take over a state made by `state`, on this or another kind of device, and store the nodes it needs."""
+        state = by_point(state)
         for name in (*POINT_STATE, "speed"):
             if getattr(self, name).size:
                 getattr(self, name).assign(state[name])

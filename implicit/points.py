@@ -4,9 +4,10 @@ import numpy as np
 import warp as wp
 
 from implicit.kernels import basis
-from implicit.kernels.layout import mat33, real, vec3, vec6
+from implicit.kernels.layout import LawState, mat33, real, vec3, vec6
 from implicit.kernels.points import cauchy
 from mpm.body import Body
+from mpm.law_state import by_name, by_point, first_law_state
 
 
 class Points:
@@ -14,12 +15,12 @@ class Points:
 
     `x` (n, 3) [m]; `v` (n, 3) [m/s], velocity in pseudo-time; `b_e` (n, 3, 3) elastic left Cauchy-Green tensor [-],
     isochoric; `mean` (n,) mean Kirchhoff stress [Pa]; `theta` (n,) volume strain [-] that the pressure law sees (see
-    `mpm.drucker_prager`); `jacobian` (n,) volume over initial volume [-]; `eps_p_eqv` (n,) [-], empty where the
-    material is elastic; `load` (n, 3) [N] external force; `moved` (n, 3) [m] in the last step. `mass` [kg] and initial
-    `volume` [m3] are those of one point.
+    `mpm.drucker_prager`); `jacobian` (n,) volume over initial volume [-]; `law_state` (n, variables) what the law
+    remembers, empty where the material is elastic; `load` (n, 3) [N] external force; `moved` (n, 3) [m] in the last
+    step. `mass` [kg] and initial `volume` [m3] are those of one point.
     """
 
-    SAVED = ("x", "v", "b_e", "mean", "theta", "jacobian", "eps_p_eqv", "moved")
+    SAVED = ("x", "v", "b_e", "mean", "theta", "jacobian", "law_state", "moved")
 
     def __init__(self, body: Body):
         constants, n = body.constants, len(body.x)
@@ -30,7 +31,7 @@ class Points:
         self.jacobian = wp.full(n, real(1.0), dtype=real, device="cpu")
         self.mean = wp.zeros(n, dtype=real, device="cpu")
         self.theta = wp.zeros(n, dtype=real, device="cpu")
-        self.eps_p_eqv = wp.zeros(n if constants.plastic else 0, dtype=real, device="cpu")
+        self.law_state = wp.array(first_law_state(constants, n), dtype=LawState, device="cpu")
         self.load = wp.zeros(n, dtype=vec3, device="cpu")
         self.moved = wp.zeros(n, dtype=vec3, device="cpu")
 
@@ -58,10 +59,11 @@ class Points:
 
     def state(self) -> dict[str, np.ndarray]:
         """What a restart needs, as copies."""
-        return {name: getattr(self, name).numpy().copy() for name in self.SAVED}
+        return by_name({name: getattr(self, name).numpy().copy() for name in self.SAVED})
 
     def restore(self, state: dict[str, np.ndarray]):
         """Take over what `state` gave."""
+        state = by_point(state)
         for name in self.SAVED:
             if getattr(self, name).size:
                 getattr(self, name).assign(state[name])

@@ -14,6 +14,7 @@ from implicit.solver import ImplicitSolver
 from mpm.body import Body
 from mpm.devices import start_warp
 from mpm.geostatic import geostatic_strain
+from mpm.law_state import by_name, by_point
 from mpm.parts import Gathered, Part, Whole
 from mpm.precheck import refuse
 from mpm.watch import Look, look
@@ -31,7 +32,7 @@ class Domain(Part, ImplicitSolver):
     @property
     def held(self) -> list[str]:
         """Names of the arrays that the material has, whether there are points here or not."""
-        spare = {"eps_p_eqv": self.whole.constants.plastic}
+        spare = {"law_state": self.whole.constants.plastic}
         return [name for name in Points.SAVED if spare.get(name, True)]
 
     def field(self, name: str) -> np.ndarray:
@@ -64,7 +65,8 @@ class Domain(Part, ImplicitSolver):
 
     def shared_state(self) -> dict:
         """What `state` holds that is the same on all ranks: all but points and nodes."""
-        return {name: value for name, value in self.state().items() if name not in (*Points.SAVED, *self.NODAL)}
+        own = (*self.material_points.state(), *self.NODAL)
+        return {name: value for name, value in self.state().items() if name not in own}
 
     def nodes_of_all(self) -> dict[str, np.ndarray] | None:
         """`node_place` and `node_velocity` of all ranks, on the first one; what ranks have in common is there once."""
@@ -77,10 +79,10 @@ class Domain(Part, ImplicitSolver):
 
     def restore(self, state: dict):
         """Take this rank's part of a state of the whole body."""
-        mine = self.cut_anew(state["x"])
+        mine, state = self.cut_anew(state["x"]), by_point(state)
         rows = {name: state[name][mine] for name in self.held}
         self.take(rows | {"id": mine})
-        super().restore(state | rows)
+        super().restore(by_name(state | rows))
 
 
 def domain(body: Body, regularisation: Regularisation, comm) -> Domain:
@@ -152,7 +154,7 @@ class RankedSolver(Whole):
     def state(self) -> dict:
         """Everything a restart needs, of the whole body; `restore` takes it back on any number of ranks."""
         points = {name: getattr(self.material_points, name).numpy() for name in Points.SAVED}
-        return points | self.ask("nodes_of_all") | self.part.shared_state()
+        return by_name(points) | self.ask("nodes_of_all") | self.part.shared_state()
 
     def restore(self, state: dict):
         """Take over a state made by `state`, on this or another number of ranks."""

@@ -12,6 +12,7 @@ from implicit.solver import ImplicitSolver
 from mpm.body import Body, build
 from mpm.devices import start_warp
 from mpm.errors import NumericalError, SceneError
+from mpm.law_state import variables
 from mpm.provenance import code_version, provenance
 from mpm.ranks import world
 from mpm.results import Results
@@ -141,7 +142,7 @@ class ImplicitRun(Run):
             "stress": lambda: points.sigma(solver.material),
             "volume_ratio": points.jacobian.numpy,
         }
-        return own | ({"eps_p_eqv": points.eps_p_eqv.numpy} if self.body.constants.plastic else {})
+        return own | (variables(points.law_state) if self.body.constants.plastic else {})
 
     def state(self) -> dict:
         """What a checkpoint holds beside what every run has."""

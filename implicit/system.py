@@ -286,7 +286,7 @@ class System:
     def _strained(self):
         """What kernels need for the stress of the points at the last increment."""
         v = self.volume
-        return v.deformation, self.state.b_e, v.nodal, v.gap, self.material, self.viscous
+        return v.deformation, self.state.b_e, v.nodal, v.gap, self.state.law_state, self.material, self.viscous
 
     def coupling(self, v: np.ndarray) -> np.ndarray:
         """What the blocks of the last `tangent` lack of dR/du, times the flat `v` (3 owned,) [m]: force [N]."""
@@ -328,7 +328,7 @@ class System:
         s = self.state
         self._deform(u)
         self.volume.commit()
-        changed = (s.x, s.mean, s.theta, s.eps_p_eqv, s.moved)
+        changed = (s.x, s.mean, s.theta, s.moved)
         self._launch(points.commit, s.count, self.u, self.nodes, *self._stencils, *self._strained(), *changed)
         if not self.inertia.any():
             return

@@ -23,6 +23,11 @@ from types import SimpleNamespace
 import warp as wp
 
 CONES = ("inner", "outer", "plane_strain")
+# The law's own state variables with their units: what a point remembers where the material yields. Both solvers hand
+# them on as one vector (see `mpm.law_state`); checkpoints and output fields have them by name.
+LAW_STATE = {
+    "eps_p_eqv": "-",  # equivalent plastic strain
+}
 # Elastic points never reach the cone. Finite, because inf - inf is NaN in the yield function.
 NEVER_YIELDS = 1e30
 
@@ -63,6 +68,11 @@ class Constants:
         stress_per_strain = self.eta * self.bulk  # zero where it underflows, too
         return self.xi / stress_per_strain if self.plastic and stress_per_strain > 0.0 else NEVER_YIELDS
 
+    @property
+    def law_state_start(self) -> tuple[float, ...]:
+        """What each of LAW_STATE starts from; nothing where the material is elastic."""
+        return (0.0,) if self.plastic else ()
+
 
 def dilatancy_slope(angle_deg: float, cone: str) -> float:
     """Slope eta_bar of the flow potential for the dilatancy angle psi `angle_deg` [degrees].
@@ -94,18 +104,20 @@ def friction_cone(phi_deg: float, cohesion: float, psi_deg: float, cone: str) ->
 
 @functools.cache
 def drucker_prager(real):
-    """Return `Material` (a Warp struct), `pack`, which fills it, and the Warp functions of the law.
+    """Return `Material` (a Warp struct), `pack`, which fills it, `LawState` (a vector, in the order of LAW_STATE) and
+    the Warp functions of the law.
 
     `second_invariant(s)` is J2 of a deviator `s` (vec6: xx, yy, zz, yz, xz, xy) [Pa2].
 
     `node_law(theta, material)` is the pressure law: mean stress [Pa] of a node at volume strain `theta` [-];
     `node_slope` (same arguments) is its derivative over K [-], `node_gap` the volume strain by which it is open [-].
 
-    `return_map(sigma_m, gap, root_j2, material)` takes the mean stress that the nodes give [Pa], at most xi/eta, the
-    volume strain by which they are open beyond the apex [-] (read only where psi > 0) and the trial sqrt(J2) [Pa]. It
-    gives (sigma_m, scale, dilation, d_eps, work): mean stress [Pa], factor on the deviator, plastic volume strain [-],
-    increment of equivalent plastic strain sqrt(2/3 eps_p:eps_p) [-], plastic work per volume [J/m3]. Dilatancy fills
-    the gap first, at no pressure, and then builds pressure: sigma_m + K (gap - eta_bar d_lambda).
+    `return_map(sigma_m, gap, root_j2, law_state, material)` takes the mean stress that the nodes give [Pa], at most
+    xi/eta, the volume strain by which they are open beyond the apex [-] (read only where psi > 0), the trial sqrt(J2)
+    [Pa] and the state of the law before the step. It gives (sigma_m, scale, dilation, law_state, work): mean stress
+    [Pa], factor on the deviator, plastic volume strain [-], the state of the law after the step, plastic work per
+    volume [J/m3]. eps_p_eqv grows by sqrt(2/3 eps_p:eps_p). Dilatancy fills the gap first, at no pressure, and then
+    builds pressure: sigma_m + K (gap - eta_bar d_lambda).
 
     `return_slopes` (same arguments) differentiates it: (mean_m, mean_g, mean_r, root_m, root_g, root_r), derivatives of
     the returned mean stress and sqrt(J2) over sigma_m, K gap and root_j2. Within a regime they are constant.
@@ -113,7 +125,7 @@ def drucker_prager(real):
     name = f"repose_{real.__name__}"
     zero, one, half = (wp.constant(real(value)) for value in (0.0, 1.0, 0.5))
     third, two_ninths = (wp.constant(real(value)) for value in (1.0 / 3.0, 2.0 / 9.0))
-    vec6 = wp.types.vector(6, real)
+    vec6, LawState = wp.types.vector(6, real), wp.types.vector(len(LAW_STATE), real)
 
     @wp.struct
     class Material:
@@ -144,11 +156,10 @@ def drucker_prager(real):
         return wp.max(theta - material.opens_at, zero)
 
     @wp.func(module=name)
-    def return_map(sigma_m: real, gap: real, root_j2: real, material: Material):
+    def return_map(sigma_m: real, gap: real, root_j2: real, law_state: LawState, material: Material):
         mean = sigma_m
         scale = one
         dilation = zero
-        d_eps = zero
         work = zero
         f = root_j2 + material.eta * sigma_m - material.xi
         if f > zero and root_j2 > zero:  # without a deviator only round-off lies beyond the apex
@@ -160,12 +171,12 @@ def drucker_prager(real):
                 mean = sigma_m + material.bulk * (gap - material.eta_bar * d_lambda)
             dilation = material.eta_bar * d_lambda
             scale = wp.max(root_j2 - material.shear * d_lambda, zero) / root_j2  # negative by round-off alone
-            d_eps = wp.sqrt(third * d_lambda * d_lambda + two_ninths * dilation * dilation)
+            law_state[0] = law_state[0] + wp.sqrt(third * d_lambda * d_lambda + two_ninths * dilation * dilation)
             work = mean * dilation + scale * (one - scale) * root_j2 * root_j2 / material.shear
-        return mean, scale, dilation, d_eps, work
+        return mean, scale, dilation, law_state, work
 
     @wp.func(module=name)
-    def return_slopes(sigma_m: real, gap: real, root_j2: real, material: Material):
+    def return_slopes(sigma_m: real, gap: real, root_j2: real, _law_state: LawState, material: Material):
         mean_m, mean_g, mean_r, root_m, root_g, root_r = one, zero, zero, zero, zero, one
         f = root_j2 + material.eta * sigma_m - material.xi
         if f > zero and root_j2 > zero:
@@ -192,6 +203,7 @@ def drucker_prager(real):
 
     return SimpleNamespace(
         Material=Material,
+        LawState=LawState,
         second_invariant=second_invariant,
         node_law=node_law,
         node_slope=node_slope,

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from mpm.drucker_prager import Constants
+from mpm.drucker_prager import LAW_STATE, Constants
 
 # What a snapshot can hold of every point, beside its position x [m]. Vectors have the components x, y, z, the stress
 # (Cauchy's, tension positive) those of STRESS.
@@ -12,7 +12,7 @@ UNITS = {
     "displacement": "m",
     "velocity": "m/s",
     "stress": "Pa",
-    "eps_p_eqv": "-",  # equivalent plastic strain
+    **LAW_STATE,
     "pressure": "Pa",
     "deviatoric_stress": "Pa",
     "volume": "m3",
@@ -20,7 +20,7 @@ UNITS = {
     "friction_mobilised": "-",
 }
 STRESS = ("xx", "yy", "zz", "yz", "xz", "xy")
-PLASTIC = ("eps_p_eqv", "friction_mobilised")  # an elastic material has none of these
+PLASTIC = (*LAW_STATE, "friction_mobilised")  # an elastic material has none of these
 
 
 def pressure(stress) -> np.ndarray:

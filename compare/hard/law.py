@@ -11,8 +11,9 @@ from compare.hard.case import Finding, hard_case
 from mpm.body import build
 from mpm.devices import KERNEL_OPTIONS, start_warp
 from mpm.domains import Halo
-from mpm.drucker_prager import Constants, drucker_prager
+from mpm.drucker_prager import LAW_STATE, Constants, drucker_prager
 from mpm.errors import NumericalError
+from mpm.law_state import first_law_state
 from mpm.load import load_scene
 from mpm.scene import Material
 from mpm.seed import Seeds
@@ -21,6 +22,7 @@ SAND = {"young": 5.84e6, "poisson": 0.3, "density": 2000.0, "friction_angle": 37
 MODULE = "repose_hard"
 VEC5 = wp.types.vector(5, wp.float64)
 LAW = drucker_prager(wp.float64)
+STRAIN = list(LAW_STATE).index("eps_p_eqv")
 
 PRESSURE = 5e3  # [Pa] at the start of a path
 STRETCH, SHEAR = 0.02, 0.03  # half-axes of a loop [-]
@@ -36,12 +38,18 @@ def returned(
     sigma_m: wp.array(dtype=wp.float64),
     gap: wp.array(dtype=wp.float64),
     root_j2: wp.array(dtype=wp.float64),
+    before: LAW.LawState,
     material: LAW.Material,
     out: wp.array(dtype=VEC5),
 ):
     p = wp.tid()
-    m, scale, dilation, d_eps, work = LAW.return_map(sigma_m[p], gap[p], root_j2[p], material)
-    out[p] = VEC5(m, scale * root_j2[p], dilation, d_eps, work)
+    m, scale, dilation, after, work = LAW.return_map(sigma_m[p], gap[p], root_j2[p], before, material)
+    out[p] = VEC5(m, scale * root_j2[p], dilation, after[STRAIN] - before[STRAIN], work)
+
+
+def law_of(constants: Constants) -> tuple:
+    """What the law's functions take after the stresses: the state that it starts from, and the material."""
+    return LAW.LawState(*constants.law_state_start), LAW.pack(constants)
 
 
 def return_map(sigma_m, gap, root_j2, constants) -> np.ndarray:
@@ -51,8 +59,8 @@ def return_map(sigma_m, gap, root_j2, constants) -> np.ndarray:
     inputs = np.broadcast_arrays(sigma_m, gap, root_j2)
     shape = inputs[0].shape
     inputs = [wp.array(a.astype(float).ravel(), dtype=wp.float64, device="cpu") for a in inputs]
-    out = wp.zeros(inputs[0].shape, dtype=VEC5, device="cpu")
-    wp.launch(returned, out.shape, inputs=[*inputs, LAW.pack(constants), out], device="cpu")
+    law, out = law_of(constants), wp.zeros(inputs[0].shape, dtype=VEC5, device="cpu")
+    wp.launch(returned, out.shape, inputs=[*inputs, *law, out], device="cpu")
     return out.numpy().T.reshape(5, *shape)
 
 
@@ -161,14 +169,14 @@ class FinitePoint(Point):
             weight=array(np.tile([0.5, 0.5, 0.0], (1, 3, 1)), mat33),
             slope=array(np.tile([-1.0, 1.0, 0.0], (1, 3, 1)), mat33),
         )
-        state = {"theta": [-pressure / self.bulk], "jacobian": [1.0], "mean": [-pressure], "eps_p_eqv": [0.0]}
+        state = {"theta": [-pressure / self.bulk], "jacobian": [1.0], "mean": [-pressure]}
         self.state = SimpleNamespace(count=1, volume=1.0, **{name: array(v, real) for name, v in state.items()})
-        self.b_e = array([IDENTITY], mat33)
+        self.b_e, self.law_state = array([IDENTITY], mat33), array(first_law_state(constants, 1), LAW.LawState)
         alone = Halo([], 8, MPI.COMM_SELF)
         self.volume_law = Volume(self.state, weights, nodes, alone, nodes, held, self.material)
         moves = [array(np.zeros((1, 3)), vec3) for _ in range(2)]
         self.stencils = [nodes, weights.reach, weights.weight]
-        self.changed = [moves[0], self.state.mean, self.state.theta, self.state.eps_p_eqv, moves[1]]
+        self.changed = [moves[0], self.state.mean, self.state.theta, moves[1]]
 
     def deform(self, g) -> list:
         """Give the nodes u = `g` x; what kernels need for the stress then."""
@@ -176,7 +184,7 @@ class FinitePoint(Point):
         v = self.volume_law
         if not v.deform(self.u):
             raise NumericalError(f"F = I + {g} collapses the point")
-        return [v.deformation, self.b_e, v.nodal, v.gap, self.material, self.real(0.0)]
+        return [v.deformation, self.b_e, v.nodal, v.gap, self.law_state, self.material, self.real(0.0)]
 
     def strain(self, g):
         """One step with F = I + `g`."""

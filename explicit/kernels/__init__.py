@@ -17,7 +17,7 @@ class StepKernels:
     def __init__(self, real):
         types = shared_layout(real)
         self.vec3, self.vec4, self.vec6 = types.vec3, types.vec4, types.vec6
-        self.Points, self.Pencils = types.Points, types.Pencils
+        self.Points, self.Pencils, self.LawState = types.Points, types.Pencils, types.LawState
         self.Walls, self.Setup = types.Walls, types.Setup
         self.pack_material = drucker_prager(real).pack
         clock = clock_kernels(real)

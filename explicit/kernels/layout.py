@@ -12,6 +12,7 @@ from types import SimpleNamespace
 import warp as wp
 
 from mpm.devices import KERNEL_OPTIONS, NOT_NEGATIVE
+from mpm.drucker_prager import drucker_prager
 
 # clock: float64 scalars of the running step
 TIME, DT, GRAVITY, TARGET, TRAVEL, STEPS = range(6)
@@ -31,7 +32,7 @@ LEDGER_ROWS = 4
 KE_POINTS, KE_GRID, E_ELASTIC, VOLUME = range(4)
 ENERGY_ROWS = 4
 # point arrays (see `Points`), of which a restart needs the first
-POINT_STATE = ("x", "lost", "v", "tau", "theta", "dilated", "eps_p_eqv")
+POINT_STATE = ("x", "lost", "v", "tau", "theta", "dilated", "law_state")
 POINT_ARRAYS = (*POINT_STATE, "carry")
 
 
@@ -40,15 +41,15 @@ def layout(real):
     """Types and structs for `real` (wp.float32 or wp.float64), and the Warp module all kernels go into."""
     name = f"repose_{real.__name__}"
     wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(name))
-    float64 = wp.float64
+    float64, LawState = wp.float64, drucker_prager(real).LawState
     vec3, vec4, vec6 = (wp.types.vector(length, real) for length in (3, 4, 6))
 
     @wp.struct
     class Points:
         """State of the points, each array (n,): positions `x` [m], velocities `v` and those that carry points, `carry`
         [m/s], Kirchhoff stress `tau` [Pa] in order xx, yy, zz, yz, xz, xy, volume strain `theta` [-] that bears
-        pressure, plastic volume strain `dilated` [-] and `eps_p_eqv` [-]; the last two are empty where the material
-        has no use for them. `lost` [m]: what float32 has left out of `x`, empty in float64."""
+        pressure, plastic volume strain `dilated` [-] and `law_state`, what the law remembers; the last two are empty
+        where the material has no use for them. `lost` [m]: what float32 has left out of `x`, empty in float64."""
 
         x: wp.array(dtype=vec3)
         lost: wp.array(dtype=vec3)
@@ -57,7 +58,7 @@ def layout(real):
         tau: wp.array(dtype=vec6)
         theta: wp.array(dtype=real)
         dilated: wp.array(dtype=real)
-        eps_p_eqv: wp.array(dtype=real)
+        law_state: wp.array(dtype=LawState)
 
     @wp.struct
     class Pencils:
@@ -127,6 +128,7 @@ def layout(real):
         vec3=vec3,
         vec4=vec4,
         vec6=vec6,
+        LawState=LawState,
         mat33=wp.types.matrix((3, 3), real),
         Points=Points,
         Pencils=Pencils,

@@ -51,8 +51,8 @@ def order_kernels(real):
         to.theta[q] = of.theta[p]
         if to.dilated.shape[0] > 0:
             to.dilated[q] = of.dilated[p]
-        if to.eps_p_eqv.shape[0] > 0:
-            to.eps_p_eqv[q] = of.eps_p_eqv[p]
+        if to.law_state.shape[0] > 0:
+            to.law_state[q] = of.law_state[p]
 
     @wp.kernel(module=name)
     def take_points(order: wp.array(dtype=wp.int32), body: Points, by_cell: Points):

@@ -111,17 +111,17 @@ def stress_kernels(real):
     ):
         """Kirchhoff stress and theta of point `p`: mean stress from the nodes, trial deviator returned to the cone.
 
-        `given`: what `given_by_node` gives, at the point. What the point has dilated and yielded is counted.
+        `given`: what `given_by_node` gives, at the point. What it has dilated, and the law's state, are kept.
         """
         grown = points.theta[p] + given[0]
         mean = given[1]
         s = points.tau[p]
         if material.plastic > 0:
-            root_j2 = wp.sqrt(second_invariant(s))
-            mean, scale, dilation, d_eps, work = return_map(given[1], given[2], root_j2, material)
+            root_j2, before = wp.sqrt(second_invariant(s)), points.law_state[p]
+            mean, scale, dilation, after, work = return_map(given[1], given[2], root_j2, before, material)
             s = scale * s
-            if d_eps > zero:
-                points.eps_p_eqv[p] = points.eps_p_eqv[p] + d_eps
+            points.law_state[p] = after
+            if work != zero:
                 wp.atomic_add(ledger, WORK_PLASTIC, p & (ledger.shape[1] - 1), float64(work) * float64(setup.volume))
             if dilation > zero:
                 grown = grown - dilation

@@ -13,7 +13,7 @@ real = wp.float64
 vec3, mat33, vec6 = wp.vec3d, wp.mat33d, wp.types.vector(6, real)
 NAME = "repose_implicit"
 LAW, BASIS = drucker_prager(real), gimp(real)
-Material = LAW.Material
+Material, LawState = LAW.Material, LAW.LawState
 
 wp.set_module_options(KERNEL_OPTIONS, module=wp.get_module(NAME))
 

@@ -11,7 +11,7 @@ coincide.
 import warp as wp
 
 from implicit.kernels.eigen import eigen
-from implicit.kernels.layout import LAW, NAME, OUTSIDE, Material, mat33, real, vec3, vec6
+from implicit.kernels.layout import LAW, NAME, OUTSIDE, LawState, Material, mat33, real, vec3, vec6
 
 ZERO, HALF, ONE, TWO, THREE = (wp.constant(real(value)) for value in (0.0, 0.5, 1.0, 2.0, 3.0))
 FIFTH, SEVENTH, SMALL = (wp.constant(real(value)) for value in (0.2, 1.0 / 7.0, 1e-2))
@@ -77,7 +77,15 @@ def log_quotient(a: real, b: real):
 
 
 @wp.func(module=NAME)
-def returned(strain: vec3, nodal: real, gap: real, viscous: real, material: Material):
+def law_state_of(law_state: wp.array(dtype=LawState), p: int):
+    """State of the law at point `p`; zeros where the material is elastic, which reads none."""
+    if law_state.shape[0] > 0:
+        return law_state[p]
+    return LawState()
+
+
+@wp.func(module=NAME)
+def returned(strain: vec3, nodal: real, gap: real, viscous: real, law_state: LawState, material: Material):
     """Trial deviator of Hencky strains, and what the return map makes of it at the nodes' mean stress `nodal` [Pa].
 
     `viscous` is the share w of the trial deviator that stays, s = (1 - w) s_returned + w s_trial (Duvaut and Lions
@@ -86,9 +94,9 @@ def returned(strain: vec3, nodal: real, gap: real, viscous: real, material: Mate
     third = (strain[0] + strain[1] + strain[2]) / THREE
     deviator = (TWO * material.shear) * (strain - vec3(third, third, third))
     root = wp.sqrt(HALF * wp.dot(deviator, deviator))
-    mean, scale, dilation, d_eps, _work = return_map(nodal, gap, root, material)
+    mean, scale, dilation, after, _work = return_map(nodal, gap, root, law_state, material)
     scale = scale + viscous * (ONE - scale)
-    return root, deviator, mean, scale, dilation, d_eps
+    return root, deviator, mean, scale, dilation, after
 
 
 @wp.kernel(module=NAME)
@@ -97,6 +105,7 @@ def stress_flux(
     b_e: wp.array(dtype=mat33),
     nodal: wp.array(dtype=real),
     gap: wp.array(dtype=real),
+    law_state: wp.array(dtype=LawState),
     material: Material,
     viscous: real,
     flux: wp.array(dtype=mat33),
@@ -105,7 +114,8 @@ def stress_flux(
     p = wp.tid()
     f = deformation[p]
     axes, _square, strain = principal(f, b_e[p])
-    _r, deviator, mean, scale, _d, _e = returned(strain, nodal[p], gap[p], viscous, material)
+    before = law_state_of(law_state, p)
+    _r, deviator, mean, scale, _d, _after = returned(strain, nodal[p], gap[p], viscous, before, material)
     tau = diagonal(axes, scale * deviator + vec3(mean, mean, mean))
     flux[p] = tau * wp.transpose(wp.inverse(f))
 
@@ -116,6 +126,7 @@ def tangent_flux(
     b_e: wp.array(dtype=mat33),
     nodal: wp.array(dtype=real),
     gap: wp.array(dtype=real),
+    law_state: wp.array(dtype=LawState),
     material: Material,
     viscous: real,
     blend: real,
@@ -138,8 +149,9 @@ def tangent_flux(
     p = wp.tid()
     f = deformation[p]
     axes, square, strain = principal(f, b_e[p])
-    root, deviator, mean, scale, _d, _e = returned(strain, nodal[p], gap[p], viscous, material)
-    mean_m, mean_g, mean_r, root_m, _g, root_r = return_slopes(nodal[p], gap[p], root, material)
+    before = law_state_of(law_state, p)
+    root, deviator, mean, scale, _d, _after = returned(strain, nodal[p], gap[p], viscous, before, material)
+    mean_m, mean_g, mean_r, root_m, _g, root_r = return_slopes(nodal[p], gap[p], root, before, material)
     fill = ZERO
     if mean_g > ZERO:
         fill = ONE
@@ -240,27 +252,28 @@ def commit(
     b_e: wp.array(dtype=mat33),
     nodal: wp.array(dtype=real),
     gap: wp.array(dtype=real),
+    law_state: wp.array(dtype=LawState),
     material: Material,
     viscous: real,
     x: wp.array(dtype=vec3),
     mean: wp.array(dtype=real),
     theta: wp.array(dtype=real),
-    eps_p_eqv: wp.array(dtype=real),
     moved: wp.array(dtype=vec3),
 ):
-    """Accept the increment: the point moves (`moved` [m]) and takes its returned elastic state.
+    """Accept the increment: the point moves (`moved` [m]) and takes its returned elastic state and that of the law.
 
     Plastic dilation fills what `theta` has opened, or builds pressure.
     """
     p = wp.tid()
     axes, _square, strain = principal(deformation[p], b_e[p])
-    _r, deviator, mean_p, scale, dilation, d_eps = returned(strain, nodal[p], gap[p], viscous, material)
+    before = law_state_of(law_state, p)
+    _r, deviator, mean_p, scale, dilation, after = returned(strain, nodal[p], gap[p], viscous, before, material)
     elastic = (scale / material.shear) * deviator  # twice the Hencky strain
     b_e[p] = diagonal(axes, vec3(wp.exp(elastic[0]), wp.exp(elastic[1]), wp.exp(elastic[2])))
     mean[p] = mean_p
     theta[p] = theta[p] - dilation
-    if material.plastic > 0:
-        eps_p_eqv[p] = eps_p_eqv[p] + d_eps
+    if law_state.shape[0] > 0:
+        law_state[p] = after
     s, count = weight[p], reach[p]
     sx, sy, sz = s[0], s[1], s[2]
     step = vec3(ZERO, ZERO, ZERO)

@@ -30,8 +30,8 @@ from mpm.results import CHECKPOINT, Results
 
 POINT = 7  # which is struck
 STATE = {
-    "explicit": ("x", "v", "tau", "theta", "eps_p_eqv"),
-    "implicit": ("x", "v", "b_e", "mean", "theta", "jacobian", "eps_p_eqv"),
+    "explicit": ("x", "v", "tau", "theta", "law_state"),
+    "implicit": ("x", "v", "b_e", "mean", "theta", "jacobian", "law_state"),
 }
 
 

@@ -26,7 +26,9 @@ def sloped(
     out: wp.array(dtype=VEC6),
 ):
     p = wp.tid()
-    mean_m, mean_g, mean_r, root_m, root_g, root_r = LAW.return_slopes(sigma_m[p], gap[p], root_j2[p], material)
+    mean_m, mean_g, mean_r, root_m, root_g, root_r = LAW.return_slopes(
+        sigma_m[p], gap[p], root_j2[p], LAW.LawState(), material
+    )
     out[p] = VEC6(mean_m, mean_g, mean_r, root_m, root_g, root_r)
 
 
