@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from implicit import newton
-from implicit._dolfinx import MPI
+from implicit._dolfinx import MPI, PETSc
 from implicit.kernels.layout import LAW
 from implicit.mesh import BackgroundMesh
 from implicit.newton import Tangent, matrix_of
@@ -35,7 +35,8 @@ def collapses(folder: str, starts: int) -> list[dict]:
 
 
 def fields(comm, symmetry) -> dict[str, np.ndarray]:
-    """By node, in the order of the lattice: place, mass, momentum, out-of-balance force, residual, tangent product.
+    """By node, in the order of the lattice: place, mass, momentum, out-of-balance force, residual, tangent product, and
+    a preconditioner's sweep of a matrix that is filled a second time and of a new one.
 
     A column whose nodes are open and closed, points elastic, yielding and open, with drag, ghost springs, viscosity and
     momentum; one point flies. A full column is cut through its axis.
@@ -70,7 +71,11 @@ def fields(comm, symmetry) -> dict[str, np.ndarray]:
     u[system.held] = direction[system.held] = 0.0
     residual = system.residual(u)
     matrix, refill = matrix_of(system)
+    refill(system.tangent(0.0 * u))
+    sweep(matrix)
     refill(system.tangent(u))
+    new, fill = matrix_of(system)
+    fill(system.tangent(u))
     given, product = matrix.createVecs()
     given.array[:] = direction[: system.owned].ravel()
     Tangent(system, matrix).mult(None, given, product)
@@ -81,9 +86,22 @@ def fields(comm, symmetry) -> dict[str, np.ndarray]:
         "unbalanced": system.unbalanced[own],
         "residual": residual,
         "product": product.array.reshape(-1, 3).copy(),
+        "sweep": sweep(matrix),
+        "sweep_of_new": sweep(new),
         "owner": np.full(system.owned, comm.rank),
     }
     return together(comm, place[own], found)
+
+
+def sweep(matrix) -> np.ndarray:
+    """What Newton's first preconditioner makes of ones (owned, 3)."""
+    ones, swept = matrix.createVecs()
+    ones.set(1.0)
+    preconditioner = PETSc.PC().create(matrix.comm)
+    preconditioner.setOperators(matrix)
+    preconditioner.setType(newton.PRECONDITIONERS[0])
+    preconditioner.apply(ones, swept)
+    return swept.array.reshape(-1, 3).copy()
 
 
 def settled(comm) -> dict[str, np.ndarray]:
