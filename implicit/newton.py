@@ -59,8 +59,8 @@ def matrix_of(system: System):
         def refill(blocks):
             matrix.setValuesBlockedCSR(*pattern, blocks.transpose(0, 2, 1).ravel())
             matrix.assemble()
-            # PETSc 3.22 keeps the diagonal blocks' inverses of the values before, with which sweeps take a third more
-            # iterations. To clear rows, even none, makes it forget them.
+            # PETSc 3.22 to 3.25 keep the diagonal blocks' inverses of the values before, with which sweeps take a third
+            # more iterations. To clear rows, even none, makes them forget those.
             matrix.zeroRows([])
 
         return matrix, refill
