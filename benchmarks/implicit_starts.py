@@ -1,6 +1,6 @@
 """Newton's counts on MPI ranks: an implicit collapse to rest from each of many random starts; a CSV row each.
 
-    python benchmarks/implicit_starts.py column_small --ranks 2 [--starts 40] [--set KEY=VALUE] [--out FILE.csv]
+    python benchmarks/implicit_starts.py column_small --ranks 2 [--starts 30] [--set KEY=VALUE] [--out FILE.csv]
     python benchmarks/implicit_starts.py column_small --ranks 1 ...
 
 It starts the ranks itself. `cpu_s`: of the first rank, in which it also waits for the others.
@@ -28,7 +28,7 @@ def main():
     parser.add_argument("scene")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE")
     parser.add_argument("--ranks", type=int, default=1)
-    parser.add_argument("--starts", type=int, default=40)
+    parser.add_argument("--starts", type=int, default=30)
     parser.add_argument("--out", type=Path)
     options = parser.parse_args()
     if options.ranks > 1 and not started():

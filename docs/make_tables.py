@@ -11,7 +11,7 @@ from statistics import mean
 
 from compare.calibration import bisect
 from compare.convergence import ensemble_limit
-from compare.ensembles import Estimate, estimate
+from compare.ensembles import Estimate, estimate, paired
 from compare.experiments import measured_runout
 from mpm.theory import eq6
 
@@ -231,6 +231,21 @@ def implicit_ranks() -> str:
     return markdown(["ranks", "s", "sweeps of GMRES"], rows)
 
 
+def implicit_starts() -> str:
+    """docs/speed.md: Newton's counts on MPI ranks over those of one, from the same starts."""
+    found: dict[tuple[str, int], list[dict[str, str]]] = {}
+    for row in rows_of("implicit_starts_cpu.csv"):
+        found.setdefault((row["petsc"], int(row["ranks"])), []).append(row)
+    rows = []
+    for (petsc, ranks), its in sorted(found.items()):
+        newton, linear = ([float(row[key]) for row in its] for key in ("newton", "linear"))
+        over = paired(newton, (float(row["newton"]) for row in found[petsc, 1]))
+        said = f"{100 * over.mean:+.1f} ± {100 * over.half:.1f} %" if ranks > 1 else ""
+        rows.append([petsc, str(ranks), f"{mean(newton):.1f}", said, f"{sum(linear) / sum(newton):.1f}"])
+    columns = ["PETSc", "ranks", "Newton iterations a collapse", "over one rank", "sweeps an iteration of Newton"]
+    return markdown(columns, rows)
+
+
 def gpu() -> str:
     """docs/speed.md: throughput of the explicit solver on a GPU."""
     found: dict[int, dict[str, float]] = {}
@@ -287,6 +302,7 @@ TABLES = {
     "speed-error": speed_error,
     "scaling": scaling,
     "implicit-ranks": implicit_ranks,
+    "implicit-starts": implicit_starts,
     "gpu": gpu,
     "damping": damping,
 }
