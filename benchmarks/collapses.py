@@ -98,9 +98,11 @@ def compute(job) -> dict:
 def run(options):
     """Compute what is missing in the table and add it, row by row."""
     command = {"command": shlex.join(["python", *sys.argv])}
-    done = list(csv.DictReader(options.out.open())) if options.out.exists() else []
-    missing = [case for case in cases(options) if not any(all(row[key] == case[key] for key in CASE) for row in done)]
     columns = (*CASE, *FIGURES, *MACHINE, "command")
+    done = list(csv.DictReader(options.out.open())) if options.out.exists() else []
+    if done and tuple(done[0]) != columns:
+        raise SystemExit(f"{options.out} has other columns, of an earlier version: choose another --out")
+    missing = [case for case in cases(options) if not any(all(row[key] == case[key] for key in CASE) for row in done)]
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
         for row in pool.imap_unordered(compute, [(case, options.device, command) for case in missing]):
             new = not options.out.exists()

@@ -279,6 +279,17 @@ def test_what_is_said_of_material_in_the_explicit_solver():
     stands(page, "D = 0.05: # %, one run", *percent(hundred))
 
 
+def test_what_is_said_of_points_that_start_at_random():
+    rows = [
+        row for row in rows_of("scatter_cpu.csv") if row["lambda0"] == "2" and row["settings"] == "grid.scatter=0.5"
+    ]
+    assert {row["mode"] for row in rows} == {"explicit", "implicit"} and {row["cells"] for row in rows} == {"8"}
+    full = [float(row["full_cell_ratio"]) for row in rows]
+    most = max(float(row["most_points_in_a_cell"]) for row in rows)
+    said = "at most # points are then in a cell, and full ones hold # to # times 8"
+    stands("docs/limits.md", said, most, min(full), max(full))
+
+
 def test_what_two_ranks_of_the_implicit_solver_gain():
     of = {n: [row for row in rows_of("implicit_ranks_cpu.csv") if row["ranks"] == n] for n in ("1", "2")}
     gains = [float(a["wall_s"]) / float(b["wall_s"]) for a, b in zip(of["1"], of["2"], strict=True)]
