@@ -4,6 +4,7 @@ A table of a page stands between `<!-- table NAME: docs/make_tables.py -->` and 
 """
 
 import csv
+import json
 import re
 from math import isfinite
 from pathlib import Path
@@ -20,6 +21,8 @@ PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 PLACE = re.compile(r"(<!-- table ([\w-]+): docs/make_tables\.py -->\n)(.*?)(<!-- end of table -->)", re.DOTALL)
 DYNAMIC, DAMPED = 0.05, 0.4  # local damping D
 MILLION = 1e6
+CASE_ENDS = re.compile(r"\((holds|does not hold|undecided)\)")  # of a claim that runs decide, a case each
+MOST_CASES = 4
 
 
 def rows_of(name: str) -> list[dict[str, str]]:
@@ -108,6 +111,38 @@ def paper() -> str:
     return markdown([*columns, "at rest after [s]", "energy residual"], rows)
 
 
+def paper_ensembles() -> str:
+    """docs/paper.md: the paper's twenty runs and the implicit ones, each several times."""
+    rows = []
+    for row in rows_of("study_paper_cpu.csv"):
+        known = {measure: measured(row, measure) for measure in ("R_995", "R_max", "slope")}
+        over = known["R_995"].over(float(row["eq4"]))
+        shown = f"{100 * over.mean:+.1f} ± {100 * over.half:.1f} %"
+        rows.append(
+            [row["lambda0"], row["label"], row["cells"].removesuffix(".0"), known["R_995"].said(), shown,
+             known["R_max"].said(), f"{float(row['experiments']):.3f}", known["slope"].said(".2f"),
+             f"{row['at_rest']} of {known['R_995'].n}"]
+        )  # fmt: skip
+    columns = ["lambda0", "run", "cells per r0", "R_995", "over Eq. 4", "R_max", "experiments", "tan of the flank"]
+    return markdown([*columns, "came to rest"], rows)
+
+
+def claims() -> str:
+    """docs/paper.md: what the paper says beside what `repose study paper` found."""
+    report = json.loads((ROOT / "docs" / "study_paper" / "report.json").read_text(encoding="utf-8"))
+    rows = []
+    for one in report["checks"]:
+        figure = one["name"].rpartition(": ")[0]
+        said, found = one["sentence"].removeprefix("The paper: ").split(". Found: ")
+        cases = CASE_ENDS.findall(found)
+        if len(cases) > MOST_CASES:  # the page has them all
+            how_many = {end: cases.count(end) for end in dict.fromkeys(cases)}
+            found = f"of {len(cases)} cases: " + ", ".join(f"{count} {end}" for end, count in how_many.items())
+        holds = {True: "yes", False: "**no**", None: "undecided"}[one["holds"]]
+        rows.append([figure or "Future work", said, found.removesuffix("."), holds])
+    return markdown(["figure", "the paper says", "found", "holds"], rows)
+
+
 def paper_grid() -> str:
     """docs/paper.md: explicit run-outs over the grid."""
     known, rows = explicit_runs(), []
@@ -182,17 +217,19 @@ def run_out(rows: list[dict[str, str]]) -> Estimate:
 def ensemble_grid() -> str:
     """docs/paper.md: run-outs of ensembles over the grid, and what they tend to."""
     rows = []
-    for (solver, ratio, precision), of in ensembles().items():
-        if precision != "float64":
-            continue
+    of_float64 = {at: of for at, of in ensembles().items() if at[2] == "float64"}
+    resolutions = sorted({cells for of in of_float64.values() for cells in of})
+    for (solver, ratio, _), of in of_float64.items():
         known = {cells: run_out(its) for cells, its in of.items()}
         limit = ensemble_limit([1.0 / cells for cells in known], list(known.values()))
         tends = "not converged"
         if limit.known:
             order = f"order {limit.order:.1f}" if isfinite(limit.order) else "no change seen"
             tends = f"{limit.value:.3f} ({limit.low:.3f} to {limit.high:.3f}), {order}"
-        rows.append([f"{ratio:g}", solver, *(one.said() for one in known.values()), tends])
-    return markdown(["lambda0", "run", "5 cells per r0", "8", "10", "16", "tends to"], rows)
+        shown = [known[cells].said() if cells in known else "" for cells in resolutions]
+        rows.append([f"{ratio:g}", solver, *shown, tends])
+    first, *others = (f"{cells:g}" for cells in resolutions)
+    return markdown(["lambda0", "run", f"{first} cells per r0", *others, "tends to"], rows)
 
 
 def speed_error() -> str:
@@ -206,7 +243,7 @@ def speed_error() -> str:
             off = f"{percent(known[cells].mean / known[finest].mean - 1.0)}" if cells < finest else ""
             seconds = f"{mean(float(row['cpu_s']) for row in its):.1f}"
             rows.append([f"{ratio:g}", solver, f"{cells:g}", known[cells].said(), off, seconds])
-    return markdown(["lambda0", "run", "cells per r0", "R_995", "off 16 cells", "CPU s"], rows)
+    return markdown(["lambda0", "run", "cells per r0", "R_995", "off its finest grid", "CPU s"], rows)
 
 
 def scaling() -> str:
@@ -294,6 +331,8 @@ FROM_NONE = "implicit_from_none_cpu.csv"  # runs of the same collapses in which 
 TABLES = {
     "reproduces": reproduces,
     "paper": paper,
+    "paper-ensembles": paper_ensembles,
+    "claims": claims,
     "paper-grid": paper_grid,
     "ensemble-grid": ensemble_grid,
     "implicit": implicit,
