@@ -304,6 +304,26 @@ def test_what_is_said_of_the_papers_claims():
     stands(page, said, min(farthest), max(farthest), -max(front), -min(front))
 
 
+def test_what_is_said_of_hard_cases():
+    page, cases = "docs/limits.md", {}
+    for row in rows_of("stability_cpu.csv"):
+        cases.setdefault(row["case"], {})[row["what"]] = row
+    stable = [all(row["outcome"] == "stable" for row in found.values()) for found in cases.values()]
+    stands(page, "finds # of # within all their limits", sum(stable), len(stable))
+
+    def of(case, what):
+        (row,) = [row for name, row in cases[case].items() if what in name]
+        return float(row["value"])
+
+    both = ("near-incompressible", "near-incompressible, implicit")
+    said = "scatter # (explicit) and # times as much at nu = 0.499 as at 0.3"
+    stands(page, said, *(of(case, "nu = 0.499: pressure scatter in a cell of a standing") for case in both))
+    (share,) = {round(of(case, "half the size"), 2) for case in both}
+    stands(page, "in cells of half the size it is # of that in both solvers", share)
+    stands(page, "turned by 45 degrees (# %, 2 % allowed)", 100 * of("symmetry", "turned by 45 degrees"))
+    stands(page, "settlement scatters by # %", 100 * of("small cut, implicit", "settlement of the top"))
+
+
 def test_what_is_said_of_points_that_start_at_random():
     rows = [
         row for row in rows_of("scatter_cpu.csv") if row["lambda0"] == "2" and row["settings"] == "grid.scatter=0.5"
