@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
-from compare.ensembles import estimate, relative
+from compare.ensembles import estimate, paired, relative, within
 from compare.experiments import experiments, measured_runout
 from mpm.theory import eq6, eq6_printed
 
@@ -342,6 +342,25 @@ def test_what_two_ranks_of_the_implicit_solver_gain():
     stands("docs/speed.md", said, float(np.median(gains)), min(gains), max(gains))
     heavier = 100 * (float(of["2"][0]["most_points_over_mean"]) - 1)
     stands("docs/speed.md", "and # % more points on one of the ranks", heavier)
+
+
+def test_newton_takes_as_many_iterations_on_ranks_within_five_percent():
+    """Both ends of each interval; thirty starts each."""
+    of = {}
+    for row in rows_of("implicit_starts_cpu.csv"):
+        of.setdefault((row["petsc"], row["ranks"]), []).append(row)
+    assert {ranks for petsc, ranks in of if petsc == "3.18.5"} == {"1", "2", "3", "4"}
+    more, sweeps = [], []
+    for (petsc, ranks), rows in of.items():
+        alone = of[petsc, "1"]
+        over = paired(*([float(row["newton"]) for row in some] for some in (rows, alone)))
+        assert within(over, -0.05, 0.05) and over.n == 30
+        each = [sum(float(r["linear"]) for r in some) / sum(float(r["newton"]) for r in some) for some in (rows, alone)]
+        if ranks != "1":
+            more.append(100 * over.mean)
+            sweeps.append(100 * (each[0] / each[1] - 1))
+    said = "So two to four ranks take # to # % more iterations, of # to # % more sweeps each"
+    stands("docs/speed.md", said, min(more), max(more), min(sweeps), max(sweeps))
 
 
 def test_what_the_page_on_speed_says_of_run_outs():
