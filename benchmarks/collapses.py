@@ -25,6 +25,8 @@ import time
 from pathlib import Path
 from statistics import mean
 
+from compare.report.page import add_rows, refuse_other_columns
+
 CASE = (
     "mode", "lambda0", "damping", "cells", "precision", "settings", "turned", "shifted", "symmetry", "regularisation",
     "realisation",
@@ -98,19 +100,12 @@ def compute(job) -> dict:
 def run(options):
     """Compute what is missing in the table and add it, row by row."""
     command = {"command": shlex.join(["python", *sys.argv])}
-    columns = (*CASE, *FIGURES, *MACHINE, "command")
+    refuse_other_columns(options.out, [*CASE, *FIGURES, *MACHINE, "command"])
     done = list(csv.DictReader(options.out.open())) if options.out.exists() else []
-    if done and tuple(done[0]) != columns:
-        raise SystemExit(f"{options.out} has other columns, of an earlier version: choose another --out")
     missing = [case for case in cases(options) if not any(all(row[key] == case[key] for key in CASE) for row in done)]
     with multiprocessing.get_context("spawn").Pool(options.jobs) as pool:
         for row in pool.imap_unordered(compute, [(case, options.device, command) for case in missing]):
-            new = not options.out.exists()
-            with options.out.open("a", newline="") as file:
-                writer = csv.DictWriter(file, columns)
-                if new:
-                    writer.writeheader()
-                writer.writerow({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()})
+            add_rows(options.out, [{k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()}])
             told = ("lambda0", "damping", "cells", "settings", "realisation", "R_995", "R_max", "stop_reason", "wall_s")
             print({key: row[key] for key in told}, flush=True)
 

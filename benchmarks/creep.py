@@ -4,9 +4,9 @@ python benchmarks/creep.py --lambda0 0.5 1 --cells 8 16 --out benchmarks/results
 """
 
 import argparse
-import csv
 from pathlib import Path
 
+from compare.report.page import add_rows
 from implicit.pseudo_time import Regularisation
 from implicit.solver import ImplicitSolver
 from mpm.body import build
@@ -51,12 +51,7 @@ def main():
         for cells in options.cells:
             for row in follow(lambda0, cells):
                 row |= {key: machine[key] for key in ("device_name", "commit", "date")}
-                new = not options.out.exists()
-                with options.out.open("a", newline="") as file:
-                    writer = csv.DictWriter(file, list(row))
-                    if new:
-                        writer.writeheader()
-                    writer.writerow(row)
+                add_rows(options.out, [row])
                 print(row, flush=True)
 
 

@@ -12,7 +12,6 @@ in a GPU's place.
 """
 
 import argparse
-import csv
 import re
 import shutil
 import subprocess
@@ -24,6 +23,7 @@ from unittest.mock import patch
 
 import warp as wp
 
+from compare.report.page import add_rows
 from explicit.kernels.look import look_kernels
 from explicit.kernels.sparse_grid import sparse_grid_kernels
 from explicit.run import ExplicitRun
@@ -173,12 +173,7 @@ def main():
     for row in rows:
         print("  ".join(f"{value!s:<{24 if key == 'kernel' else 10}}" for key, value in row.items()))
     if options.out:
-        new = not options.out.exists()
-        with options.out.open("a", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]))
-            if new:
-                writer.writeheader()
-            writer.writerows(rows)
+        add_rows(options.out, rows)
 
 
 if __name__ == "__main__":

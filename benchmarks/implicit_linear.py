@@ -8,12 +8,12 @@ preconditioners are made of its block rows. Seconds are CPU time, of the rank th
 """
 
 import argparse
-import csv
 import time
 from pathlib import Path
 
 import numpy as np
 
+from compare.report.page import add_rows
 from implicit._dolfinx import MPI, PETSc
 from implicit.newton import Tangent
 from implicit.pseudo_time import Regularisation
@@ -143,13 +143,7 @@ def main():
             print(rows[-1], flush=True)
     if comm.rank:
         return
-    fresh = not options.table.exists()
-    options.table.parent.mkdir(parents=True, exist_ok=True)
-    with open(options.table, "a", newline="") as file:
-        writer = csv.DictWriter(file, rows[0])
-        if fresh:
-            writer.writeheader()
-        writer.writerows(rows)
+    add_rows(options.table, rows)
 
 
 if __name__ == "__main__":

@@ -7,10 +7,10 @@ with other work a better measure than `wall_s`; what a rank waits for another is
 """
 
 import argparse
-import csv
 import time
 from pathlib import Path
 
+from compare.report.page import add_rows
 from implicit._dolfinx import MPI
 from implicit.pseudo_time import Regularisation
 from implicit.ranks import Domain
@@ -61,12 +61,7 @@ def main():
     }
     print(row)
     if options.out:
-        new = not options.out.exists()
-        with options.out.open("a", newline="") as file:
-            writer = csv.DictWriter(file, row)
-            if new:
-                writer.writeheader()
-            writer.writerow(row)
+        add_rows(options.out, [row])
 
 
 if __name__ == "__main__":

@@ -6,11 +6,11 @@ NAME is one of `implicit.pseudo_time.Regularisation`. Seconds are those of one c
 """
 
 import argparse
-import csv
 import time
 from pathlib import Path
 
 from compare.bench.worker import timed
+from compare.report.page import add_rows
 from implicit import newton
 from implicit.pseudo_time import Regularisation, Rest
 from implicit.solver import ImplicitSolver
@@ -88,13 +88,7 @@ def main():
         "device": described["device_name"],
         "commit": described["commit"],
     }
-    fresh = not options.table.exists()
-    options.table.parent.mkdir(parents=True, exist_ok=True)
-    with open(options.table, "a", newline="") as file:
-        writer = csv.DictWriter(file, row)
-        if fresh:
-            writer.writeheader()
-        writer.writerow(row)
+    add_rows(options.table, [row])
     print(row)
 
 

@@ -7,7 +7,6 @@ It starts the ranks itself. `cpu_s`: of the first rank, in which it also waits f
 """
 
 import argparse
-import csv
 import sys
 import tempfile
 import time
@@ -16,6 +15,7 @@ from pathlib import Path
 from compare import launch
 from compare.cli.ranks import take_part
 from compare.ensembles import SCATTER
+from compare.report.page import add_rows
 from implicit._dolfinx import libraries
 from implicit.run import run
 from mpm.load import load_scene
@@ -42,12 +42,7 @@ def count(options):
         row = row_of(options, start)
         print(row, flush=True)
         if options.out:
-            new = not options.out.exists()
-            with options.out.open("a", newline="") as file:
-                writer = csv.DictWriter(file, row)
-                if new:
-                    writer.writeheader()
-                writer.writerow(row)
+            add_rows(options.out, [row])
 
 
 def row_of(options, start: int) -> dict:

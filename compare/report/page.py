@@ -70,6 +70,26 @@ def write_table(rows: list[dict], directory: Path, name: str = TABLE):
         writer.writerows(rows)
 
 
+def add_rows(path: Path, rows: list[dict]):
+    """Add `rows` to the table `path`, which they begin where it is not there. SceneError where it has other columns."""
+    refuse_other_columns(path, list(rows[0]))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = not path.exists()
+    with path.open("a", newline="", encoding="utf-8") as file:
+        writer = csv.DictWriter(file, list(rows[0]))
+        if new:
+            writer.writeheader()
+        writer.writerows(rows)
+
+
+def refuse_other_columns(path: Path, columns: list[str]):
+    """Raise SceneError where there is a table `path` with other columns: a row more would stand below wrong ones."""
+    if path.exists():
+        with path.open(newline="", encoding="utf-8") as file:
+            if next(csv.reader(file), columns) != columns:
+                raise SceneError(f"{path} has other columns, of an earlier version: choose another file")
+
+
 def _page(report, directory):
     """The HTML of the report."""
     environment = Environment(

@@ -10,7 +10,8 @@ import pytest
 from browser import measure
 from matplotlib.figure import Figure
 
-from compare.report.page import write_report
+from compare.report.page import add_rows, write_report
+from mpm.errors import SceneError
 
 REPORT = {
     "title": "column_small: implicit & explicit",
@@ -251,3 +252,13 @@ def test_browser_finds_broken_images_empty_tables_and_sideways_scrolling(tmp_pat
     assert seen["tables"] == [{"text": "head", "rows": 0}]
     assert seen["scroll_width"] > seen["window"] == 420
     assert seen["font_size"] == 9
+
+
+def test_rows_are_added_to_a_table_of_the_same_columns_only(tmp_path):
+    path = tmp_path / "new" / "table.csv"
+    add_rows(path, [{"a": 1, "b": 2.5}])
+    add_rows(path, [{"a": 3, "b": 4}, {"a": 5, "b": 6}])
+    assert path.read_text().split() == ["a,b", "1,2.5", "3,4", "5,6"]
+    with pytest.raises(SceneError, match=r"table\.csv has other columns"):
+        add_rows(path, [{"a": 7, "c": 1, "b": 8}])
+    assert path.read_text().split()[-1] == "5,6"
