@@ -56,15 +56,6 @@ class Domain(Part, ExplicitSolver):
         """Whether sums over nodes are packed and added where the nodes are (`explicit.staged`), not by the host."""
         return self.device.is_cuda
 
-    @property
-    def summed(self) -> dict[str, tuple[wp.array, ...]]:
-        """The node arrays that each phase adds to whose sums then travel."""
-        return {
-            "p2g": (self.node_momentum, self.node_force),
-            "g2p2g": (self.node_mapped,),
-            "strain_points": (self.node_dilation,),
-        }
-
     def field(self, name: str) -> np.ndarray:
         """One of the point arrays (n, ...)."""
         return getattr(self, name).numpy()
@@ -102,18 +93,15 @@ class Domain(Part, ExplicitSolver):
         sees of it."""
         if self.staged:
             return self.staged_step.take()
-        summed = self.summed
-        begin, *phases = self._phases
+        begin, *phases = self.phases
         begin.launch()
         seen = self.dials.read()  # on the CPU that is what will be there
         if seen.clock[K.DT] == 0.0:
             return seen
-        # A rank without points has no such phase, and shares no nodes.
         for phase in phases:
             phase.launch()
-            name = phase.kernel.key.rpartition("__")[2]
-            if name in summed:
-                self.halo.add(*(array.numpy() for array in summed[name]))
+            if phase.summed:
+                self.halo.add(*(array.numpy() for array in phase.summed))
         return seen
 
     def look(self) -> Look:
@@ -131,7 +119,7 @@ class Domain(Part, ExplicitSolver):
         counts = {"points": self.points, "nodes": self.grid.stored, "shared": len(self.halo.nodes)}
         return counts | {"peers": len(peers), "sent": self.halo.sent}
 
-    def _check(self):
+    def check(self):
         """Raises on all ranks what the first that has a fault found."""
         for fault in self.comm.allgather(self._fault()):
             if fault:

@@ -5,7 +5,6 @@ defects; see `explicit.kernels` for each phase.
 """
 
 import math
-import time
 
 import numpy as np
 import warp as wp
@@ -19,13 +18,14 @@ from explicit.kernels import step_kernels
 from explicit.kernels.layout import POINT_ARRAYS, POINT_STATE
 from explicit.kernels.look import LOOK_SIZE
 from explicit.kernels.sparse_grid import MARGIN
+from explicit.phases import phases_of
 from explicit.sparse_grid import SparseGrid
 from mpm.body import Body
 from mpm.errors import NumericalError, StepRefused
 from mpm.geostatic import initial_strain
 from mpm.law_state import by_name, by_point, first_law_state
 from mpm.precheck import over_courant
-from mpm.stiffness import limit_bulk
+from mpm.stiffness import SMOOTHINGS, limit_bulk, ripple_share
 from mpm.watch import Look, look
 
 # Velocity components below this share of sqrt(g h0) are not damped: at rest the sign of v is round-off.
@@ -45,7 +45,8 @@ class ExplicitSolver:
     where the material has no use for them. `lost` vec3 [m]: what float32 has left out of `x`, empty in float64.
 
     `fused`: take steps in four launches (`explicit.fused`) in place of nine phases, and look at the points on the
-    device (`explicit.device_look`); so on a GPU, unless told otherwise.
+    device (`explicit.device_look`); so on a GPU, unless told otherwise or where ripples of the volume strain are
+    smoothed (`ripple_share` < 1), which takes phases of its own.
     """
 
     ids: np.ndarray | None = None  # numbers of the points in the whole body, where these are a part of it
@@ -54,7 +55,8 @@ class ExplicitSolver:
         settings = body.scene.explicit
         self.body = body = limit_bulk(body)
         self.device = wp.get_device(device)
-        self.fused = self.device.is_cuda if fused is None else fused
+        self.ripple_share = ripple_share(body.constants)
+        self.fused = self.ripple_share == 1.0 and (self.device.is_cuda if fused is None else fused)
         self.real = getattr(wp, settings.precision)
         self.k = step_kernels(self.real)
         self.points = len(body.x)
@@ -132,13 +134,14 @@ class ExplicitSolver:
     def _allocate_nodes(self):
         """Node arrays, reused within a step: `node_momentum` holds (m, m v), from the grid update on (m, v_new);
         `node_force` force and m theta, then the velocity increment dt a and m theta, then what the pressure law gives;
-        `node_mapped` the second mapping's m v, then v; `node_dilation` the sum of m ln det F. `explicit.kernels.fused`
-        says what they hold in a fused step."""
+        `node_mapped` the second mapping's m v, then v; `node_dilation` the sum of m ln det F, `node_smoothed`
+        its averages (`explicit.kernels.ripples`). `explicit.kernels.fused` says what they hold in a fused step."""
         nodes, k = self.grid.capacity, self.k
         self.node_momentum = self._zeros(nodes, k.vec4)
         self.node_force = self._zeros(nodes, k.vec4)
         self.node_mapped = self._zeros(nodes, k.vec4)
         self.node_dilation = self._zeros(0 if self.fused else nodes, self.real)
+        self.node_smoothed = [self._zeros(nodes, self.real) for _ in range(SMOOTHINGS if self.ripple_share < 1 else 0)]
         self.counted = self._zeros(0, wp.int32)  # empty: sums over nodes count all of them (see `explicit.ranks`)
 
     def _zeros(self, shape, dtype):
@@ -210,7 +213,8 @@ class ExplicitSolver:
 
     def _node_arrays(self):
         shared = [self.node_momentum, self.node_force, self.node_mapped]
-        return [*shared, *self.fused_step.node_arrays] if self.fused else [*shared, self.node_dilation]
+        own = self.fused_step.node_arrays if self.fused else [self.node_dilation, *self.node_smoothed]
+        return [*shared, *own]
 
     def fit_grid(self):
         """Store the nodes that the points need now."""
@@ -224,33 +228,12 @@ class ExplicitSolver:
 
     def _record_step(self):
         """The step as launches in order, ready to be repeated."""
-        k, n, nodes, clock = self.k, self.points, self.grid.capacity, self.clock
-        self.pencils = pencils = k.Pencils()
+        self.pencils = pencils = self.k.Pencils()
         pencils.base, pencils.i0, pencils.j0 = self.grid.base, self.grid.i0, self.grid.j0
         if self.fused:
             self.fused_step = FusedStep(self)
             return
-        setup, walls, pencil_of = self.setup, self.walls, self.grid.pencil_of
-        momentum, force, mapped, dilation = self.node_momentum, self.node_force, self.node_mapped, self.node_dilation
-        ledger, fault, material = self.ledger, self.fault, self.material
-        where, law = (setup, pencils, clock, self.arrays), (setup, material, pencils, clock, self.arrays)
-
-        phases = [
-            (k.begin_step, 1, (setup, clock, self.speed, fault, self.plan)),
-            (k.clear_grid, nodes, (clock, momentum, force, mapped, dilation)),
-            (k.p2g, n, (*where, momentum, force)),
-            (k.update_grid, nodes, (setup, walls, pencils, clock, pencil_of, momentum, force, self.counted, ledger)),
-            (k.g2p2g, n, (*where, momentum, force, mapped, ledger, self.speed, fault)),
-            (k.hold_walls, nodes, (walls, pencils, clock, pencil_of, momentum, mapped)),
-            (k.strain_points, n, (*law, mapped, dilation, fault)),
-            (k.apply_node_law, nodes, (material, clock, momentum, dilation, force)),
-            (k.update_stress, n, (*law, force, ledger)),
-        ]
-        self._phases = [
-            wp.launch(kernel, dim, inputs=list(inputs), device=self.device, record_cmd=True)
-            for kernel, dim, inputs in phases
-            if dim > 0
-        ]
+        self.phases = phases_of(self)
         self._graph = None
 
     def step(self):
@@ -258,28 +241,8 @@ class ExplicitSolver:
         self.dials.forget()
         if self.fused:
             return self.fused_step.take(1)
-        for phase in self._phases:
+        for phase in self.phases:
             phase.launch()
-
-    def time_phases(self, steps: int) -> dict[str, float]:
-        """Take `steps` steps phase by phase: median seconds of each phase."""
-        phases = self.fused_step.phases if self.fused else self._phases
-        seconds = {phase.kernel.key.rpartition("__")[2]: [] for phase in phases}
-        for _ in range(steps):
-            self.fit_grid()
-            if self.fused:
-                self.fused_step.start()
-            for name, phase in zip(seconds, phases, strict=True):
-                wp.synchronize_device(self.device)
-                start = time.perf_counter()
-                phase.launch()
-                wp.synchronize_device(self.device)
-                seconds[name].append(time.perf_counter() - start)
-            if self.fused:
-                self.fused_step.finish()
-            self.dials.forget()
-        self._check()
-        return {name: float(np.median(each)) for name, each in seconds.items()}
 
     def advance_to(self, time: float):
         """Step to exactly `time` [s]. Raises as `advance`."""
@@ -307,7 +270,7 @@ class ExplicitSolver:
         self.dials.forget()
         by_itself = self.fused and self.fused_step.branches and travelled < K.OUT_OF_NODES
         if outgrown and not by_itself:
-            self._check()
+            self.check()
             self.fit_grid()
             travelled = 0.0
         steps = math.ceil((min(until, self._target) - clock[K.TIME]) / dt - 1e-9)
@@ -320,7 +283,7 @@ class ExplicitSolver:
                 steps = min(steps, int(0.8 * (margin - travelled) / (fastest * dt)))
             self._take(min(max(steps, 1), MOST_STEPS))
         self.dials.forget()
-        self._check()
+        self.check()
         return self.time
 
     def _take(self, steps: int):
@@ -338,7 +301,7 @@ class ExplicitSolver:
         for _ in range(rest):
             self.step()
 
-    def _check(self):
+    def check(self):
         if fault := self._fault():
             raise fault
 

@@ -12,13 +12,6 @@ from explicit.dials import Seen
 from explicit.kernels.halo import halo_kernels
 from mpm.domains import Halo, exchange
 
-# The phases between exchanges; after all but the last of them sums over shared nodes travel.
-PARTS = (
-    ("begin_step", "clear_grid", "p2g"),
-    ("update_grid", "g2p2g"),
-    ("hold_walls", "strain_points"),
-    ("apply_node_law", "update_stress"),
-)
 SLACK = 1.2  # by which buffers are larger than needed, so that they are seldom made anew
 
 
@@ -107,11 +100,15 @@ class StagedStep:
 
     def __init__(self, domain, buffers: Buffers):
         self.domain, self.device = domain, domain.device
-        widths = [sum(wp.types.type_size(array.dtype) for array in arrays) for arrays in domain.summed.values()]
-        buffers.hold(domain.halo.sent * max(widths))
-        phases = {phase.kernel.key.rpartition("__")[2]: phase for phase in domain._phases}
-        self.sums = [StagedSum(domain.halo, domain.summed[part[-1]], domain.clock, buffers) for part in PARTS[:-1]]
-        launches = [[phases[name] for name in part if name in phases] for part in PARTS]  # without points there are few
+        summed = [phase.summed for phase in domain.phases if phase.summed]
+        width = max(sum(wp.types.type_size(each.dtype) for each in arrays) for arrays in summed)
+        buffers.hold(domain.halo.sent * width)
+        self.sums = [StagedSum(domain.halo, arrays, domain.clock, buffers) for arrays in summed]
+        launches: list[list[wp.Launch]] = [[]]  # between exchanges
+        for phase in domain.phases:
+            launches[-1] += [phase.command] if phase.command else []
+            if phase.summed:
+                launches.append([])
         for before, total, after in zip(launches, self.sums, launches[1:], strict=False):
             before += total.pack
             after[:0] = total.add

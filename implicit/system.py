@@ -17,7 +17,7 @@ from implicit.kernels import assembly, basis, ghost, points
 from implicit.kernels.layout import NEIGHBOURS, OUTSIDE, SELF, STENCIL, mat33, real, vec3
 from implicit.mesh import COUPLED, BackgroundMesh
 from implicit.points import Basis, Points
-from implicit.volume import OWN_SHARE, Volume
+from implicit.volume import Volume
 from mpm.domains import Halo, Ownership, shared_nodes
 
 REFUSED = 1e30  # [N] stands for the residual of such an increment: a line search shortens it
@@ -300,7 +300,7 @@ class System:
         self._values.zero_()
         self._deform(u)
         v.set_slopes(blend)
-        moduli = (real(blend), v.closed, real(OWN_SHARE), v.filled, self.tangents, v.volumetric)
+        moduli = (real(blend), v.closed, real(v.own_share), v.filled, self.tangents, v.volumetric)
         self._launch(points.tangent_flux, s.count, *self._strained(), *moduli)
         v.linearise()
         blocks = (self.tangents, real(s.volume), self.place, self._values)

@@ -50,6 +50,7 @@ def explicit(job: dict) -> dict:
     now fast does not blur; 0 on a GPU, which a small column does not fill.
     """
     begin = time.perf_counter()
+    from explicit.phases import time_phases
     from explicit.solver import ExplicitSolver
     from mpm.devices import find_device
     from mpm.provenance import peak_memory_mb
@@ -87,7 +88,7 @@ def explicit(job: dict) -> dict:
         "import_s": imported - begin,
         "first_step_s": ready - imported,
     }
-    return answer | {"phases": solver.time_phases(PHASE_STEPS) if job["phases"] else {}}
+    return answer | {"phases": time_phases(solver, PHASE_STEPS) if job["phases"] else {}}
 
 
 def on_ranks(aspect: float, cells: float, precision: str) -> dict:

@@ -208,15 +208,15 @@ def _friction(mode, *settings):
 
 STANDING = "material.cohesion=2000.0"  # the low column stands: 4 c/(rho g) tan(45 + phi/2) = 0.83 m, h0 = 0.5 m
 ROUGH_REASON = (
-    "a standing column's pressure varies over a cell with depth, whatever nu; what K alone makes, "
-    "20 to 40 times as large, is the grid's"
+    "a standing column's pressure varies over a cell with depth, whatever nu: by second-order elements 1.28 times as "
+    "much at 0.499 as at 0.3; what K alone makes, 20 to 200 times as large, is the grid's"
 )
 NU_REASON = "run-out is a matter of friction and volume, and psi = 0 keeps the volume at any nu"
 
 
 @hard_case("near-incompressible", on_ranks=True)
 def near_incompressible():
-    """nu = 0.49 and 0.499: K is 20 and 40 times as large as at 0.3, 8 points to a cell of first-order hexahedra."""
+    """nu = 0.49 and 0.499: K is 20 and 200 times as large as at 0.3, 8 points to a cell of first-order hexahedra."""
     yield from _checkerboard("explicit", "explicit.until=2.0")
     yield from _incompressible_collapse("explicit", MIDDLE, FIFTH, DYNAMIC, SHORT)
 

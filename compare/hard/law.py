@@ -108,7 +108,7 @@ class RatePoint(Point):
     def strain(self, g):
         """The linear velocity field of gradient `g` for a second; the point stays where it is."""
         self.velocity[:, :3] = self.nodes @ np.asarray(g, float).T
-        _begin, clear, p2g, *_grid, strain, node_law, stress = self.point._phases
+        _begin, clear, p2g, *_grid, strain, node_law, stress = self.point.phases
         clear.launch()
         p2g.launch()
         self.point.node_mapped.assign(self.velocity)

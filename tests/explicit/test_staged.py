@@ -57,6 +57,16 @@ def test_ranks_without_points_take_part(tmp_path):
     np.testing.assert_allclose(four["x"], one["x"], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("sums", [HOST, STAGED], ids=["halo", "buffer"])
+def test_smoothed_volume_strains_are_those_of_one_rank(tmp_path, sums):
+    """K is 500 G, so that ripples of the volume strain are smoothed, in two exchanges more."""
+    settings = ("explicit.until=0.02", "material.cohesion=2000.0", "material.poisson=0.499", "output.vtk=false")
+    one, three = (state(tmp_path / str(ranks), ranks, sums, "column_small", *settings)[0] for ranks in (1, 3))
+    assert one["clock"][5] > 200
+    np.testing.assert_allclose(three["x"], one["x"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(three["theta"], one["theta"], rtol=0, atol=1e-9 * np.abs(one["theta"]).max())
+
+
 def test_a_point_at_fault_ends_all_ranks(tmp_path):
     """A velocity that is no number on one rank, seen with the last exchange of the step."""
     fault = """

@@ -152,6 +152,15 @@ def test_mixed(overrides):
     assert 0.2 < yields < 0.98 and 0.05 < opens < 0.95
 
 
+@pytest.mark.parametrize("overrides", [(), DILATANT], ids=["cohesionless", "dilatant and cohesive"])
+def test_mixed_with_ripples_smoothed(overrides):
+    """K = 25 G, and volume strains as much smaller: nodes open, nodes closed; points elastic, on the cone, open."""
+    case = Case((*overrides, "material.poisson=0.48"), theta=-1e-4, spread=3e-4, jitter=1e-3, u=2e-4)
+    assert case.error() < LIMIT
+    yields, opens = case.regime()
+    assert 0.2 < yields < 0.98 and 0.05 < opens < 0.95
+
+
 def test_nodes_that_close_in_the_step():
     """Open before the increment, closed in it."""
     case = Case(theta=2e-3, spread=1e-4, jitter=1e-3, u=1e-4)

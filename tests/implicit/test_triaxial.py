@@ -11,7 +11,6 @@ from mpm.errors import SceneError
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
 from implicit.kernels import points
 from implicit.kernels.layout import mat33, real
-from implicit.volume import OWN_SHARE
 
 YOUNG, POISSON, PHI, PSI = 25e6, 0.3, 35.0, 5.0
 CELL_PRESSURE, AXIAL_STRAIN, STEPS = 150e3, 0.1, 100
@@ -46,7 +45,7 @@ class Element(FinitePoint):
         flux, tangent = array(np.zeros((1, 3, 3)), mat33), array(np.zeros((1, 9, 3, 3)), mat33)
         wp.launch(points.stress_flux, 1, inputs=[*strained, flux], device="cpu")
         v.set_slopes(0.0)
-        outputs = [real(0.0), v.closed, real(OWN_SHARE), v.filled, tangent, v.volumetric]
+        outputs = [real(0.0), v.closed, real(v.own_share), v.filled, tangent, v.volumetric]
         wp.launch(points.tangent_flux, 1, inputs=[*strained, *outputs], device="cpu")
         v.linearise()
         p, t = flux.numpy()[0, 0, 0], tangent.numpy()[0]

@@ -121,7 +121,7 @@ def test_theta_takes_the_nodes_average_of_ln_det_f(solver_of, run_to):
     solver = solver_of("column_small")
     list(run_to(solver, 0.2))
     solver.set_target(1.0)
-    *first, strain, node_law, stress = solver._phases
+    *first, strain, node_law, stress = solver.phases
     for phase in first:
         phase.launch()
     x, theta, grid = solver.x.numpy().copy(), solver.theta.numpy().copy(), solver.grid

@@ -78,7 +78,7 @@ def test_rigid_rotation_turns_the_stress_and_changes_nothing_else(solver_of):
     for _ in range(steps):
         solver.node_dilation.zero_()
         solver.node_force.zero_()
-        for phase in solver._phases[-3:]:
+        for phase in solver.phases[-3:]:
             phase.launch()
 
     def full(s):
