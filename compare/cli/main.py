@@ -58,14 +58,22 @@ SceneArg = Annotated[
 ]
 SetOption = Annotated[list[str], typer.Option("--set", metavar="KEY=VALUE", help="override a scene key")]
 DeviceOption = Annotated[str, typer.Option(help="cpu, cuda:0, cuda:1, ..., or cuda: on ranks a GPU each")]
-OutOption = Annotated[Path | None, typer.Option("--out", metavar="DIR")]
 AgainOption = Annotated[bool, typer.Option("--force", help="run again what is there, replace another report in DIR")]
 RanksOption = Annotated[str, typer.Option("--ranks", metavar="N|all", help="MPI ranks; all: one a core, or a GPU")]
-JobsOption = Annotated[int | None, typer.Option(min=1, help="runs at a time; times are cleanest with 1")]
 RealisationsOption = Annotated[
     int | None, typer.Option(help="runs of each case, from points that start at random; at least 2")
 ]
 DirArg = Annotated[Path, typer.Argument(metavar="DIR", help="folder of a run")]
+
+
+def _out(default: str):
+    """`--out`, whose help says the default."""
+    return typer.Option("--out", metavar="DIR", help=f"default: {default}")
+
+
+def _jobs(default: str):
+    """`--jobs`, whose help says the default."""
+    return typer.Option(min=1, help=f"runs at a time; default: {default}")
 
 
 def _say_version(asked: bool):
@@ -89,7 +97,7 @@ def run(
     mode: Annotated[Mode, typer.Option(help="solver")] = Mode.explicit,
     device: DeviceOption = "cpu",
     set_: SetOption = [],  # noqa: B006 (typer reads the default, nothing mutates it)
-    directory: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="default: runs/SCENE-MODE")] = None,
+    directory: Annotated[Path | None, _out("runs/SCENE-MODE")] = None,
     force: Annotated[bool, typer.Option("--force", help="replace an earlier run in DIR")] = False,
     ranks: RanksOption = "1",
 ):
@@ -131,7 +139,7 @@ def export(
     directory: DirArg,
     fields: Annotated[list[str], typer.Option(metavar="NAME...", help="point fields, in place of all")] = [],  # noqa: B006
     format: Annotated[Format, typer.Option(help="vtu for ParaView, csv: a table a snapshot")] = Format.vtu,
-    target: Annotated[Path | None, typer.Option("--out", metavar="DIR", help="default: vtk or csv in DIR")] = None,
+    target: Annotated[Path | None, _out("vtk or csv in DIR")] = None,
 ):
     """Write the snapshots of a run as files of other programs, also of one that was stopped, killed or failed."""
     from mpm.export import write_csv
@@ -148,7 +156,7 @@ def compare(
     scene: SceneArg,
     device: DeviceOption = "cpu",
     set_: SetOption = [],  # noqa: B006
-    directory: OutOption = None,
+    directory: Annotated[Path | None, _out("runs/SCENE-compare")] = None,
     force: AgainOption = False,
     ranks: RanksOption = "1",
 ):
@@ -174,8 +182,8 @@ def study_error(
     realisations: RealisationsOption = None,
     device: DeviceOption = "cpu",
     set_: SetOption = [],  # noqa: B006
-    directory: OutOption = None,
-    jobs: JobsOption = None,
+    directory: Annotated[Path | None, _out("runs/SCENE-error")] = None,
+    jobs: Annotated[int | None, _jobs("1, as times are taken")] = None,
     force: AgainOption = False,
     ranks: RanksOption = "1",
 ):
@@ -196,8 +204,8 @@ def study_paper(
     realisations: RealisationsOption = None,
     quick: Annotated[bool, typer.Option("--quick", help="5 cells per r0 instead of 20, 3 realisations not 5")] = False,
     device: DeviceOption = "cpu",
-    directory: OutOption = None,
-    jobs: JobsOption = None,
+    directory: Annotated[Path | None, _out("runs/paper, or runs/paper-quick")] = None,
+    jobs: Annotated[int | None, _jobs("8, or fewer where there are fewer cores")] = None,
     force: AgainOption = False,
     ranks: RanksOption = "1",
 ):
@@ -219,8 +227,8 @@ def study_damping(
     realisations: RealisationsOption = None,
     device: DeviceOption = "cpu",
     set_: SetOption = [],  # noqa: B006
-    directory: OutOption = None,
-    jobs: JobsOption = None,
+    directory: Annotated[Path | None, _out("runs/SCENE-damping-TARGET")] = None,
+    jobs: Annotated[int | None, _jobs("8, or fewer where there are fewer cores")] = None,
     force: AgainOption = False,
     ranks: RanksOption = "1",
 ):
@@ -237,9 +245,9 @@ def study_damping(
 
 @study.command("stability")
 def study_stability(
-    quick: Annotated[bool, typer.Option("--quick", help="leave out the cases of more than half a minute")] = False,
-    directory: OutOption = None,
-    jobs: JobsOption = None,
+    quick: Annotated[bool, typer.Option("--quick", help="leave out the longest cases")] = False,
+    directory: Annotated[Path | None, _out("runs/stability, or runs/stability-quick")] = None,
+    jobs: Annotated[int | None, _jobs("2, or fewer where there are fewer cores")] = None,
     force: AgainOption = False,
     ranks: RanksOption = "1",
 ):
@@ -257,7 +265,9 @@ def bench(
     precision: Annotated[Precision, typer.Option(help="of the explicit solver")] = Precision.float64,
     cells: Annotated[list[float], typer.Option(metavar="N...", help="cells per r0, in place of the usual sizes")] = [],  # noqa: B006
     ranks: Annotated[list[int], typer.Option(metavar="N...", help="speed over so many MPI ranks instead")] = [],  # noqa: B006
-    directory: OutOption = None,
+    directory: Annotated[
+        Path | None, _out("runs/bench-MODE-PRECISION-DEVICE; of --ranks: runs/bench-MODE-ranks-PRECISION")
+    ] = None,
     force: AgainOption = False,
 ):
     """Speed over size, what a step goes into, memory (three minutes on a CPU; run nothing beside it)."""

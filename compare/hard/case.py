@@ -35,8 +35,8 @@ class Finding:
 
 @dataclass(frozen=True)
 class Case:
-    """A hard case: `run()` computes it and yields its findings. `slow`: takes more than half a minute. `on_ranks`: runs
-    of a solver are all that it takes (`compare.hard.collapse.finish`), so that several MPI ranks can compute it."""
+    """A hard case: `run()` computes it and yields its findings. `slow`: `--quick` leaves it out. `on_ranks`: runs of
+    a solver are all that it takes (`compare.hard.collapse.finish`), so that several MPI ranks can compute it."""
 
     name: str
     run: Callable[[], Iterator[Finding]]
