@@ -14,6 +14,7 @@ from explicit.kernels.fused import fused_kernels
 from explicit.kernels.halo import halo_kernels
 from explicit.kernels.look import look_kernels
 from explicit.kernels.order import order_kernels
+from explicit.kernels.ripples import ripple_kernels
 from explicit.kernels.sparse_grid import sparse_grid_kernels
 from mpm.devices import start_warp
 
@@ -39,7 +40,7 @@ def compiled(tmp_path_factory):
 
 @REALS
 def test_kernels_compile_for_cuda(real, compiled):
-    alone = ((make, None) for make in (fused_kernels, halo_kernels, look_kernels, order_kernels))
+    alone = ((make, None) for make in (fused_kernels, halo_kernels, look_kernels, order_kernels, ripple_kernels))
     for make, more in ((step_kernels, sparse_grid_kernels), *alone):
         kernels = vars(make(real)) | (vars(more(real)) if more else {})
         names = {name for name, kernel in kernels.items() if isinstance(kernel, wp.Kernel)}

@@ -38,6 +38,17 @@ def test_gpu_follows_the_cpu(solver_of, run_to, precision, tolerance):
         assert energies[1][name] == pytest.approx(value, rel=1e3 * tolerance, abs=1e-3), name
 
 
+def test_gpu_smooths_ripples_as_the_cpu_does(solver_of):
+    """K is 500 G: the GPU takes the step as phases."""
+    settings = ("grid.cell=0.125", "material.cohesion=2000.0", "material.poisson=0.499")
+    one, other = (solver_of("column_small", *settings, device=device) for device in ("cpu", "cuda:0"))
+    for solver in (one, other):
+        solver.advance_to(0.02)
+    assert one.steps == other.steps
+    assert np.abs(one.x.numpy() - other.x.numpy()).max() < 1e-12
+    np.testing.assert_allclose(other.theta.numpy(), one.theta.numpy(), rtol=0, atol=1e-9)
+
+
 def test_the_stored_nodes_follow_and_rows_are_written_without_the_host(solver_of):
     """Over many fits, with batches as in a run; rows say what NumPy finds of the same points."""
     solver = solver_of("column_1", "grid.cell=0.125", "explicit.damping=0.05", device="cuda:0")
