@@ -1,16 +1,18 @@
 """What a measure tends to as the cell shrinks: Richardson extrapolation from three grids, or from ensembles on them."""
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import brentq
 
-from compare.ensembles import CONFIDENCE, Estimate, difference
+from compare.ensembles import CONFIDENCE, Estimate, difference, within
 
 ORDERS = (0.4, 6.0)  # outside them a fitted order says that the grids are too coarse, not how the error falls
 FARTHEST = 0.2  # of the finest value: a limit farther off is a guess
 DRAWS = 1000  # of the ensembles' means, for the interval of their limit
+OUTSIDE = round((1.0 - CONFIDENCE) / 2 * DRAWS)  # draws that lie outside of it on either side
+SAME = 0.03  # of the finest mean: ensembles of grids that change by less agree, as runs with other steps do
 
 
 @dataclass(frozen=True)
@@ -71,8 +73,9 @@ def richardson(h, f) -> Limit:
 class EnsembleLimit:
     """Limit `value` of ensembles for a vanishing cell, its interval `low` to `high` (unit of the measure), and why.
 
-    `order` of the error; NaN where no change with the grid shows (`said` tells) or where there is no limit: then
-    `value`, `low` and `high` are NaN too.
+    `order` of the error. It is NaN where the three finest grids agree within 3 %: the interval is then that of the
+    finest ensemble and holds no error of the grid (`said` tells). Where there is no limit all numbers are NaN;
+    `undecided` where that is because the ensembles are too small to tell whether the grid matters.
     """
 
     value: float
@@ -80,6 +83,7 @@ class EnsembleLimit:
     high: float
     order: float
     said: str
+    undecided: bool = False
 
     @property
     def known(self) -> bool:
@@ -90,10 +94,11 @@ class EnsembleLimit:
 def ensemble_limit(h, ensembles: list[Estimate]) -> EnsembleLimit:
     """Limit of `ensembles` (n,) on grids of size `h` (n,) from the finest three, by Richardson's extrapolation.
 
-    Its interval comes from 1,000 draws of the three means, each from its own t distribution: it is given where at least
-    95 % of the draws have a limit (see `richardson`). Where neither refinement changes the mean beyond its interval
-    there is no error of the grid to extrapolate: the limit is then the finest ensemble. Otherwise it is not converged.
-    Raises ValueError as `richardson` does.
+    Its interval comes from 1,000 draws of the three means, each from its own t distribution: 95 % of them lie within. A
+    draw without a limit (see `richardson`) may lie anywhere and counts as beyond either end, so that there is an
+    interval where at most 2.5 % are such. Where that gives no limit, but all changes between the three, coarsest to
+    finest too, lie within 3 % with their whole intervals, the finest ensemble stands for it. Otherwise it is not
+    converged, or undecided where no change shows. Raises ValueError as `richardson` does.
     """
     found = richardson(h, [one.mean for one in ensembles])  # also checks h
     h = np.asarray(h, float)
@@ -101,29 +106,48 @@ def ensemble_limit(h, ensembles: list[Estimate]) -> EnsembleLimit:
     three = [ensembles[index] for index in finest]
     if any(one.n < 2 for one in three):
         return _no_ensemble_limit("not converged: an ensemble of the three finest grids has fewer than two runs")
-    changes = [difference(fine, coarse) for fine, coarse in pairwise(three)]
-    if all(one.low <= 0.0 <= one.high for one in changes):
-        known = three[0]
-        said = f"no change with the grid beyond the intervals of the three finest; the finest: {known.said('.4f')}"
+    changes = [difference(fine, coarse) for fine, coarse in combinations(three, 2)]
+    changed = any(not one.low <= 0.0 <= one.high for one in changes)
+    if changed:
+        limit = _extrapolated(found, h[finest], three)
+        if limit.known:
+            return limit
+    known = three[0]
+    allowed = SAME * abs(known.mean)
+    if all(within(one, -allowed, allowed) for one in changes):
+        said = (
+            f"changes by less than {SAME:.0%} over the three finest grids; the finest: {known.said('.4f')}, "
+            "without the error of its grid"
+        )
         return EnsembleLimit(known.mean, known.low, known.high, float("nan"), said)
+    if changed:
+        return limit
+    most = max(max(abs(one.low), abs(one.high)) for one in changes)
+    said = f"undecided: no change with the grid shows, but the intervals of the three finest allow one of {most:.4f}"
+    return _no_ensemble_limit(f"{said}, more than {SAME:.0%} of the finest", undecided=True)
+
+
+def _extrapolated(found: Limit, h, three: list[Estimate]) -> EnsembleLimit:
+    """Limit of the ensembles `three` on grids `h` (3,), whose means have the limit `found`."""
     if not found.converged:
         return _no_ensemble_limit(f"not converged: {found.reason}")
     draw = np.random.default_rng(0)
     means = np.transpose([one.mean + one.standard_error * draw.standard_t(one.freedom, DRAWS) for one in three])
-    limits = [one.value for one in (richardson(h[finest], row) for row in means) if one.converged]
-    if len(limits) < CONFIDENCE * DRAWS:
+    limits = sorted(one.value for one in (richardson(h, row) for row in means) if one.converged)
+    outside = OUTSIDE - (DRAWS - len(limits))  # of those with a limit, on either side
+    if outside < 0:
         share = len(limits) / DRAWS
-        said = (
-            f"not converged: within the intervals of the three finest grids only {share:.0%} of the draws have a limit"
+        return _no_ensemble_limit(
+            f"not converged: within the intervals of the three finest grids only {share:.1%} of the draws have a limit"
         )
-        return _no_ensemble_limit(said)
-    low, high = np.quantile(limits, [(1.0 - CONFIDENCE) / 2, (1.0 + CONFIDENCE) / 2])
+    low, high = limits[outside], limits[-1 - outside]
     said = f"tends to {found.value:.4f} ({low:.4f} to {high:.4f}) with order {found.order:.2f}"
-    return EnsembleLimit(found.value, float(low), float(high), found.order, said)
+    return EnsembleLimit(found.value, low, high, found.order, said)
 
 
-def _no_ensemble_limit(said):
-    return EnsembleLimit(*[float("nan")] * 4, said)
+def _no_ensemble_limit(said, undecided=False):
+    nothing = float("nan")
+    return EnsembleLimit(nothing, nothing, nothing, nothing, said, undecided)
 
 
 def _no_limit(reason):

@@ -222,9 +222,9 @@ def ensemble_grid() -> str:
     for (solver, ratio, _), of in of_float64.items():
         known = {cells: run_out(its) for cells, its in of.items()}
         limit = ensemble_limit([1.0 / cells for cells in known], list(known.values()))
-        tends = "not converged"
+        tends = "undecided" if limit.undecided else "not converged"
         if limit.known:
-            order = f"order {limit.order:.1f}" if isfinite(limit.order) else "no change seen"
+            order = f"order {limit.order:.1f}" if isfinite(limit.order) else "grids agree within 3 %"
             tends = f"{limit.value:.3f} ({limit.low:.3f} to {limit.high:.3f}), {order}"
         shown = [known[cells].said() if cells in known else "" for cells in resolutions]
         rows.append([f"{ratio:g}", solver, *shown, tends])

@@ -181,7 +181,12 @@ def _errors(row: dict, limits: dict[str, EnsembleLimit], plain: list[dict]) -> d
 
 def _checks(rows, plain, limits) -> list[dict]:
     checks = [
-        check(f"{solver} run-out converges", float(not limit.known), 0.0, f"R_995 {limit.said}.")
+        check(
+            f"{solver} run-out converges",
+            None if limit.undecided else float(not limit.known),
+            0.0,
+            f"R_995 {limit.said}.",
+        )
         for solver, limit in limits.items()
     ]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from compare.convergence import ensemble_limit, richardson
+from compare.convergence import Limit, ensemble_limit, richardson
 from compare.ensembles import Estimate
 
 HALVED = (0.2, 0.1, 0.05)
@@ -100,17 +100,44 @@ def test_the_limit_of_ensembles_has_the_spread_of_the_extrapolation():
     assert found.high - found.low == pytest.approx(2 * half, rel=0.15)
 
 
-def test_what_does_not_change_with_the_grid_beyond_its_interval_is_its_finest_ensemble():
+def test_grids_that_agree_within_three_percent_have_the_finest_ensemble_without_error_of_the_grid():
+    """Half of a difference's interval is 2.306 sqrt(2) x 0.005 = 0.0163; 3 % of 0.7005 are 0.0210."""
     found = ensemble_limit(HALVED, ensembles((0.702, 0.701, 0.7005), 0.005))
     assert found.known and found.value == 0.7005 and np.isnan(found.order)
     assert found.high - found.value == pytest.approx(2.776 * 0.005, rel=1e-3)
-    assert "no change with the grid" in found.said
+    assert "changes by less than 3% over the three" in found.said and "without the error of its grid" in found.said
+    oscillating = ensemble_limit(HALVED, ensembles((0.702, 0.701, 0.7015), 1e-6))  # more runs tell it no worse
+    assert oscillating.known and oscillating.value == 0.7015
+
+
+def test_a_change_that_does_not_show_in_wide_intervals_is_undecided():
+    """The same means, the interval 0.0326: the coarsest may be 0.0341 off the finest."""
+    found = ensemble_limit(HALVED, ensembles((0.702, 0.701, 0.7005), 0.01))
+    assert found.undecided and not found.known and "allow one of 0.0341, more than 3% of the finest" in found.said
+
+
+@pytest.mark.parametrize("n", [2, 3, 5, 20])
+def test_fewer_runs_pass_no_grids_that_more_runs_do_not(n):
+    """The finest ensemble is 20 % off the coarsest; with two runs no change between neighbours shows."""
+    assert not ensemble_limit(UNEVEN, ensembles((0.40, 0.36, 0.32), 0.008, n)).known
+
+
+@pytest.mark.parametrize(("lost", "low", "high"), [(0, 0.025, 0.974), (10, 0.025, 0.984), (25, 0.025, 0.999)])
+def test_draws_without_a_limit_count_as_beyond_either_end(monkeypatch, lost, low, high):
+    """The limits of the 1,000 draws are 0 to 0.999, without the first `lost`. 25 lie outside on either side: of 10 that
+    have no limit 15 more, so that the interval reaches from the 16th of 990 to the 16th from above."""
+    told = [Limit(0.5, 1.0, True, "")]  # of the means
+    told += [Limit(draw / 1000, 1.0, draw >= lost, "") for draw in range(1000)]
+    monkeypatch.setattr("compare.convergence.richardson", lambda _h, _f: told.pop(0))
+    found = ensemble_limit(HALVED, ensembles((0.9, 0.8, 0.75), 1e-4))
+    assert (found.low, found.high) == (low, high)
 
 
 @pytest.mark.parametrize(
     ("means", "error", "n", "words"),
     [
         ((0.7, 0.8, 0.75), 1e-4, 5, "not converged: the value goes up with one refinement"),
+        ((0.36, 0.345, 0.33), 0.006, 5, "is not settling"),  # neighbours do not differ, the ends do
         ((0.9, 0.8, 0.75), 0.01, 5, "of the draws have a limit"),  # the last change is of the size of its interval
         ((0.9, 0.8, 0.75), float("nan"), 1, "fewer than two runs"),
     ],

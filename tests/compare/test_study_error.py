@@ -59,6 +59,13 @@ def test_without_a_limit_there_is_no_error_and_the_other_solver_s_finest_grid_co
     assert not _limit(rows("explicit", [0.3, None, 0.35])).known
 
 
+def test_whether_a_run_out_converges_is_open_where_the_ensembles_are_too_small_to_tell():
+    plain = rows("explicit", [0.351, 0.350, 0.3505], error=0.01) + rows("implicit", [0.30, 0.40, 0.35])
+    limits = {solver: _limit([row for row in plain if row["solver"] == solver]) for solver in ("explicit", "implicit")}
+    found = {one["name"]: one["holds"] for one in _checks(plain, plain, limits)}
+    assert found["explicit run-out converges"] is None and found["implicit run-out converges"] is False
+
+
 def test_claims_are_judged_by_the_difference_of_ensembles():
     """float32 0.1 % off in each pair; another step as scattered as 3 %; the solvers 33 % apart."""
     plain = rows("explicit", RISING) + rows("implicit", FALLING)
