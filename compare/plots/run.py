@@ -47,6 +47,7 @@ SUPPLIED_AND_SPENT = (
     ("W_ext", "work of gravity", BLACK, "-"),
     ("W_plastic", "plastic dissipation", BLUE, "-"),
     ("W_damping", "damping", PURPLE, "-"),
+    ("W_decay", "decay of unseen velocities", PURPLE, "--"),
 )
 HELD = (
     ("KE_points", "kinetic, points", ORANGE, "-"),

@@ -69,7 +69,7 @@ def column(tmp_path):
     rows = [
         {"time": t, "R_max": 0.6 * t, "R_995": 0.5 * t, "R_connected": 0.55 * t}
         | {"W_ext": 100 * t, "KE_points": 20 * t, "KE_grid": 19 * t, "E_elastic": 7.0}
-        | {"W_plastic": 60 * t, "W_damping": 15 * t, "residual": 5 * t}
+        | {"W_plastic": 60 * t, "W_damping": 12 * t, "W_decay": 3 * t, "residual": 5 * t}
         for t in np.linspace(0, 1, 20)
     ]
     volume = np.full(len(x), (CELL / 2) ** 3)
@@ -213,7 +213,8 @@ def test_history_shows_run_outs_eq4_and_every_energy(column):
     shown = {item.get_label(): item.get_ydata() for item in (*spent.lines, *held.lines)}
     np.testing.assert_array_equal(shown["plastic dissipation"], history["W_plastic"])
     np.testing.assert_array_equal(shown["residual"], history["residual"])
-    assert len(shown) == 7
+    np.testing.assert_array_equal(shown["decay of unseen velocities"], history["W_decay"])
+    assert len(shown) == 8
     assert (run_out.get_xlabel(), held.get_xlabel(), spent.get_ylabel()) == ("time [s]", "time [s]", "energy [J]")
 
 

@@ -7,9 +7,11 @@ import math
 import pytest
 from test_comparison import repose, rows_of, text_of
 
-from compare.studies.damping import target_of
+from compare.batch import Job, Outcome
+from compare.studies.damping import SHARES, _row, target_of
 from mpm.errors import SceneError
 from mpm.load import load_scene
+from mpm.results import Results
 from mpm.theory import eq4
 
 SHORT = ("--set", "explicit.max_time=0.5", "--set", "implicit.max_steps=2")
@@ -49,9 +51,27 @@ def test_a_target_beyond_every_damping_is_told_and_runs_are_kept(tmp_path, capsy
     assert one["sentence"] in text_of((folder / "report.html").read_text(encoding="utf-8"))
     explicit = [row for row in report["rows"] if row["damping"] is not None]
     assert [(row["damping"], row["R_995_n"]) for row in explicit] == [(0.0, 2)]
-    assert explicit[0]["damped"] == 0.0  # of gravity's work, without damping
+    assert explicit[0]["damped"] == explicit[0]["decayed"] == 0.0  # of gravity's work, without damping
     with_dolfinx = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
     assert len(rows_of(folder)) == 1 + with_dolfinx
     capsys.readouterr()
     assert repose(*asked) == 0
     assert capsys.readouterr().out.count("kept from an earlier call") == 2 + 2 * with_dolfinx
+
+
+def test_where_gravitys_work_goes(tmp_path):
+    """Of 20 J: 8 into damping, 1 into the decay, 10 into plastic flow; 4 J of motion at the peak."""
+    job = Job("D0.4", "column_1", ("explicit.damping=0.4",), "explicit")
+    rows = [
+        {"time": t, "W_ext": 10 * t, "W_damping": 4 * t, "W_decay": 0.5 * t, "W_plastic": 5 * t, "KE_grid": t * (4 - t)}
+        for t in (0.0, 1.0, 2.0)
+    ]
+    outcomes = []
+    for name, kept in (("new", set(rows[0])), ("old", set(rows[0]) - {"W_decay"})):
+        run = Results.create(tmp_path / name, job.scene, {})
+        run.append_history([{key: row[key] for key in kept} for row in rows])
+        outcomes.append(Outcome(job, tmp_path / name, {"R_995": 0.6, "R_max": 0.7, "stop_reason": "rest"}, None))
+    found = _row("D = 0.4", 0.4, outcomes)
+    assert {name: (found[name].mean, found[name].n) for name in SHARES} == {
+        "damped": (0.4, 2), "decayed": (0.05, 1), "plastic": (0.5, 2), "peak_motion": (0.2, 2),
+    }  # fmt: skip
