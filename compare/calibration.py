@@ -42,8 +42,12 @@ def bisect(run_outs: Callable[[float], Estimate | None], target: float) -> Calib
         if damping not in tried:
             high = damping
         elif found.low <= target <= found.high:
-            if damping == LOWEST and (other := run_outs(0.5 * HIGHEST)):  # where the interval ends
-                tried[0.5 * HIGHEST] = other
+            if damping == LOWEST:  # where does the interval end?
+                other = run_outs(0.5 * HIGHEST)
+                if other is None or other.n < 2:
+                    high = 0.5 * HIGHEST
+                else:
+                    tried[0.5 * HIGHEST] = other
             return _found(tried, damping, target, high)
         elif found.mean > target:
             low = damping

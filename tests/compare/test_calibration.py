@@ -64,6 +64,14 @@ def test_a_target_within_the_interval_of_an_end_is_met_there():
     assert found.high == pytest.approx(0.02 / 1.2)  # 1.2 + 0.03 - 1.2 D = 1.21
 
 
+@pytest.mark.parametrize("other", [None, Estimate(0.7, math.nan, 0.0, 1)])
+def test_where_no_damping_meets_the_target_the_interval_ends_below_what_comes_to_no_result(other):
+    run_outs, _ = known(lambda d: 1.2 - 1.2 * d, 0.03)
+    found = bisect(lambda d: run_outs(d) if d == 0.0 else other, 1.21)
+    assert (found.damping, found.low, found.high) == (0.0, 0.0, 0.45)
+    assert list(found.tried) == [0.0]
+
+
 def test_a_jump_is_bracketed():
     run_outs, asked = known(lambda d: 1.0 if d < 0.3 else 0.2, 0.0)
     found = bisect(run_outs, 0.5)
