@@ -139,6 +139,24 @@ def test_the_ladder_has_a_job_for_every_point():
     assert jobs["explicit-5-soft"].scene.material.young < 100 * scene.material.young
 
 
+def test_no_run_is_compared_with_itself(tmp_path):
+    """Whatever precision and Courant number a scene file has."""
+    file = tmp_path / "own.toml"
+    column = "geometry = {shape = 'column', radius = 1.0, aspect_ratio = 0.5}"
+    material = "material = {young = 1e6, poisson = 0.3, density = 2000.0, friction_angle = 37.55}"
+    explicit = "explicit = {precision = 'float32', cfl = 0.25}"
+    file.write_text(f"name = 'own'\n{column}\n{material}\ngrid = {{cell = 0.25}}\n{explicit}\n")
+    for reference in ("column_small", str(file)):
+        jobs = ladder(reference, [], [4, 5, 8], [10], "cpu")
+        assert len({one.key for one in jobs}) == len(jobs) == 19
+
+
+@pytest.mark.parametrize("setting", ["explicit.precision=float32", "explicit.cfl=0.25", "explicit.time_step=1e-4"])
+def test_what_the_study_varies_cannot_be_set(setting):
+    with pytest.raises(SceneError, match=setting.partition("=")[0]):
+        ladder("column_small", [setting], [4, 5, 8], [], "cpu")
+
+
 def test_three_resolutions_are_needed_to_extrapolate(capsys, tmp_path):
     assert repose("study", "error", "column_small", "--cells", "4", "8", "--out", tmp_path / "out") == 2
     assert "three different resolutions at least" in capsys.readouterr().err
