@@ -12,7 +12,7 @@ from compare.ensembles import Estimate, Part
 from compare.experiments import experiments
 from compare.studies.paper import runs
 from compare.studies.paper.claim import of_runs
-from compare.studies.paper.figures import fig10
+from compare.studies.paper.figures import fig9, fig10
 from compare.studies.paper.theory import TABLE1, best_mu, fig7, fig8, resampled, residuals, rmse, table1
 from mpm.load import load_scene
 from mpm.results import Results
@@ -112,6 +112,17 @@ def test_run_outs_are_judged_with_their_intervals(tmp_path):
     assert "+0.003 ± 0.006 from D = 0.05 to 0.1 (undecided)" in falls  # of three cases all are named
     assert section["tables"][0]["rows"][3][4:6] == ["0.630 ± 0.005", "+9.2% ± 0.9%"]
     assert (tmp_path / "fig10.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("dampings", "words"), [((0.05,), "no such run was asked for"), ((0.0, 0.05), "+0.20% ± 0.14% from D = 0.05 to 0")]
+)
+def test_one_small_damping_tells_nothing_of_how_the_detached_grow(tmp_path, dampings, words):
+    """0.4 % without damping and 0.2 % with, each +- 0.12 %: t of 8 degrees of their difference."""
+    share = {damping: Estimate(0.004 if damping == 0.0 else 0.002, 0.0012 / 2.776, 4.0, 5) for damping in dampings}
+    rows = [row(one, 1.0, 1.3) | {"detached": share[one], "upper_strain": share[one]} for one in dampings]
+    grows = fig9(rows, [], tmp_path)[0][1]
+    assert words in grows["sentence"] and grows["holds"] is (None if len(dampings) == 1 else True)
 
 
 def test_morphology_by_hand(tmp_path):

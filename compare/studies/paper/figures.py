@@ -32,8 +32,9 @@ def fig9(rows: list[dict], outcomes: list[list[Outcome]], directory: Path) -> tu
     for ratio in dict.fromkeys(row["lambda0"] for row in dynamic):
         light = [row for row in rows if row["lambda0"] == ratio and (row["damping"] or 0.0) <= 2 * DYNAMIC]
         light = sorted((row for row in light if row["damping"] is not None), key=lambda row: row["damping"])
-        change = _change(light[0], light[-1], "detached") if len(light) > 1 else None
-        more.append(_part(light[0], change, 0.0, math.inf, f"{{}} from {_to(light[-1], light[0])}", "+.2%"))
+        if len(light) > 1:
+            change = _change(light[0], light[-1], "detached")
+            more.append(_part(light[0], change, 0.0, math.inf, f"{{}} from {_to(light[-1], light[0])}", "+.2%"))
     few = f"few points are disconnected from the main body (judged: fewer than {FEW:.0%})"
     grows = "the share of disconnected points grows as D falls (judged: from D = 0.1 to 0)"
     surface = "most of the plastic deformation is superficial (judged: in the upper half of the local thickness)"
