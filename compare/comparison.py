@@ -23,6 +23,7 @@ from compare.report.sections import (
     stability_table,
     verdict,
 )
+from compare.studies import refuse_settings
 from mpm.body import build
 from mpm.errors import SceneError
 from mpm.load import load_scene
@@ -40,9 +41,7 @@ def plan(reference: str, settings: list[str], device: str) -> list[Job]:
 
     Raises SceneError for a scene that cannot come to a quasistatic rest, or with every problem of the scene.
     """
-    decided = ("explicit.damping", "explicit.until")
-    if taken := [item for item in settings if item.partition("=")[0].strip() in decided]:
-        raise SceneError([f"--set {item}: a comparison runs to rest with D = {DAMPING}" for item in taken])
+    refuse_settings(settings, ("explicit.damping", "explicit.until"), f"a comparison runs to rest with D = {DAMPING}")
     scene = load_scene(reference, settings)
     if scene.loads.gravity == 0:
         raise SceneError(
@@ -68,7 +67,11 @@ def plan(reference: str, settings: list[str], device: str) -> list[Job]:
 def compare_solvers(
     directory: Path, force, monitor, command: str, reference: str, settings, device: str, ranks: int = 1
 ) -> dict:
-    """Run or reuse what `plan` asks for, and draw the figures in `directory`; the report (see `compare.report`)."""
+    """Run or reuse what `plan` asks for, and draw the figures in `directory`; the report (see `compare.report`).
+
+    `reference`: scene file or preset, `settings` KEY=VALUE of it; `ranks`: MPI ranks of each run. `force`, `monitor`,
+    `command` and what is raised, beside what `plan` raises: see `compare.studies`.
+    """
     jobs = plan(reference, settings, device)
     scene = jobs[0].scene
     about_what = {"study": "compare", "scene": scene.model_dump(mode="json"), "device": device}

@@ -45,7 +45,11 @@ def target_of(target: str, scene: Scene) -> float:
 def study_damping(
     directory: Path, force, monitor, command: str, reference, settings, target: str, realisations: int, device, workers
 ) -> dict:
-    """Run or reuse ensembles of ever nearer D and draw the figure in `directory`; the report (see `compare.report`)."""
+    """Run or reuse ensembles of ever nearer D and draw the figure in `directory`; the report (see `compare.report`).
+
+    `reference`: scene file or preset, `settings` KEY=VALUE of it; `target`: see `target_of`.
+    `force`, `monitor`, `command`, `workers` and what is raised: see `compare.studies`.
+    """
     scene = load_scene(reference, settings)
     refuse_settings(settings, ("explicit.damping", "explicit.until", *SETS))
     wanted = target_of(target, scene)

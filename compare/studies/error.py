@@ -80,7 +80,11 @@ def ladder(reference: str, settings: list[str], cells: list[float], finer: list[
 def study_error(
     directory: Path, force, monitor, command: str, reference, settings, cells, finer, realisations: int, device, workers
 ) -> dict:
-    """Run or reuse the ladder and draw the figures in `directory`; the report (see `compare.report.page`)."""
+    """Run or reuse the ladder and draw the figures in `directory`; the report (see `compare.report.page`).
+
+    `reference`: scene file or preset of a column, `settings` KEY=VALUE of it; `cells` and `finer` [cells per r0]: see
+    `ladder`. `force`, `monitor`, `command`, `workers` and what is raised: see `compare.studies`.
+    """
     jobs = ladder(reference, settings, cells, finer, device)
     scene = load_scene(reference, settings)
     about_what = {"study": "error", "scene": scene.model_dump(mode="json"), "device": device}

@@ -30,7 +30,9 @@ LONGEST = 3600.0  # [s] of one case, after which it counts as hung
 def study_stability(directory: Path, force, _monitor, command: str, quick: bool, workers: Workers) -> dict:
     """Run the hard cases, the long ones too unless `quick`; the report (see `compare.report.page`).
 
-    A case's rows are kept in `directory`/cases and used again as long as the code stays the same.
+    A case's rows are kept in `directory`/cases and used again as long as the code stays the same. Each case is said
+    when it is done; nothing is told to the monitor. `force`, `command`, `workers` and what is raised: see
+    `compare.studies`; but a case that was interrupted starts anew.
     """
     about_what = {"study": "stability", "quick": quick}
     refuse_another(directory, about_what, force)

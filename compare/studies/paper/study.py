@@ -33,7 +33,11 @@ def study_paper(
     device,
     workers: Workers,
 ) -> dict:
-    """Run or reuse the paper's runs and draw the figures in `directory`; the report (see `compare.report.page`)."""
+    """Run or reuse the paper's runs and draw the figures in `directory`; the report (see `compare.report.page`).
+
+    `lambda0`: aspect ratios h0/r0 > 0 [-]; `damping`: D >= 0 and < 1 [-]; `quick`: on coarse grids.
+    `force`, `monitor`, `command`, `workers` and what is raised: see `compare.studies`.
+    """
     if min(lambda0) <= 0 or min(damping) < 0 or max(damping) >= 1:
         raise SceneError("--lambda0: must be > 0 [-]; --damping: must be >= 0 and < 1 [-]")
     about_what = {"study": "paper", "quick": quick, "device": device, "lambda0": lambda0, "damping": damping}
