@@ -4,8 +4,8 @@ import importlib.util
 
 import numpy as np
 import pytest
-import scipy.sparse
 
+from compare.hard.rest import condition
 from mpm.body import build
 from mpm.devices import start_warp
 from mpm.load import load_scene
@@ -27,14 +27,6 @@ def system_of(overlap, **regularisation):
     solver = ImplicitSolver(body)
     solver.system.set_regularisation(**Regularisation(**regularisation).of_step(body, 0.05))
     return solver.system
-
-
-def condition(system):
-    """Condition number of the whole tangent, block rows and coupling."""
-    values = system.tangent(np.zeros((system.count, 3)))
-    size = 3 * system.count
-    matrix = scipy.sparse.bsr_matrix((values, system.indices, system.indptr), shape=(size, size))
-    return np.linalg.cond(matrix.toarray() + np.stack([system.coupling(column) for column in np.eye(size)], axis=1))
 
 
 def test_the_condition_number_stays_bounded_as_material_moves_over_the_grid():
