@@ -150,25 +150,27 @@ def tall():
 
 
 STIFF_REASON = "elastic strains are of a thousandth: the deposit rests on friction and volume, whatever E"
+SOFT_REASON = "six times what E x 0.1 does: what is stiffer is followed with E of 600 rho g h0"
 
 
 @hard_case("stiffness", on_ranks=True)
 def stiffness():
     """E from a tenth to a hundred times the paper's: explicit steps a tenth as long."""
-    yield from _stiffness("explicit", MIDDLE, FIFTH, DYNAMIC, SHORT)
+    yield from _stiffness("explicit", (0.1, 10, 100), 0.12, STIFF_REASON, MIDDLE, FIFTH, DYNAMIC, SHORT)
 
 
 @hard_case("stiffness, implicit", on_ranks=True)
 def stiffness_implicit():
-    """Likewise; a cohesionless material is followed with E of at most 600 rho g h0, so that it costs no more."""
-    yield from _stiffness("implicit", LOW, SIXTH)
+    """Likewise, but for a hundred times: a cohesionless material is followed with E of at most 600 rho g h0, here 1.01
+    times the paper's, so that E x 10 and all that is stiffer are one computation. It costs no more."""
+    yield from _stiffness("implicit", (0.1, 10), 0.03, SOFT_REASON, LOW, SIXTH)
 
 
-def _stiffness(mode, *scene):
+def _stiffness(mode, factors, limit, reason, *scene):
     base = collapse(mode, *scene)
-    for factor in (0.1, 10, 100):
+    for factor in factors:
         run = collapse(mode, *scene, f"material.young={5.84e6 * factor}")
-        yield same(f"E x {factor:g}", run, base, 0.12, STIFF_REASON)
+        yield same(f"E x {factor:g}", run, base, limit, reason)
         if mode == "implicit":
             needed, usual = run.solver.newton_iterations, base.solver.newton_iterations
             yield Finding(
@@ -206,7 +208,7 @@ def _friction(mode, *settings):
     )  # fmt: skip
 
 
-STANDING = "material.cohesion=2000.0"  # the low column stands: 4 c/(rho g) tan(45 + phi/2) = 0.83 m, h0 = 0.5 m
+STANDING = "material.cohesion=2000.0"  # the low column stands: 3.83 c/(rho g) tan(45 + phi/2) = 0.79 m, h0 = 0.5 m
 ROUGH_REASON = (
     "a standing column's pressure varies over a cell with depth, whatever nu: by second-order elements 1.28 times as "
     "much at 0.499 as at 0.3; what K alone makes, 20 to 200 times as large, is the grid's"

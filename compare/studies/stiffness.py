@@ -44,11 +44,18 @@ def stiffness_rows(rows: list[dict], base: float) -> list[dict]:
 
 
 def stiffness_check(rows: list[dict], base: float) -> dict:
-    """Whether the implicit solver's time hardly grows with E."""
-    mine = {row["young"]: row["seconds"] for row in stiffness_rows(rows, base) if row["solver"] == "implicit"}
-    worst = max(mine.values()) / mine[base] if len(mine) == 1 + len(FACTORS) else None
+    """Whether the implicit solver's time hardly grows with E, and where that says nothing as E is not what it used."""
+    mine = {row["young"]: row for row in stiffness_rows(rows, base) if row["solver"] == "implicit"}
+    whole = len(mine) == 1 + len(FACTORS)
+    worst = max(row["seconds"] for row in mine.values()) / mine[base]["seconds"] if whole else None
     said = "a run failed" if worst is None else f"the slowest takes {worst:.1f} times the softest's time"
-    return check("implicit cost hardly depends on stiffness", worst, FLAT, f"{said}; {FLAT:g} times is allowed.")
+    sentence, name = f"{said}; {FLAT:g} times is allowed.", "implicit cost hardly depends on stiffness"
+    if softened := [row for row in mine.values() if _is_softened(row)]:
+        name += ", after softening"
+        asked = " and ".join(f"{row['young'] / 1e6:g}" for row in softened)
+        used = " and ".join(dict.fromkeys(f"{row['young_used'] / 1e6:.3g}" for row in softened))
+        sentence += f" E = {asked} MPa are followed with {used} MPa: runs of one modulus are one computation."
+    return check(name, worst, FLAT, sentence)
 
 
 def stiffness_section(rows: list[dict], base: float, first: list[Outcome], directory: Path) -> dict:
@@ -83,7 +90,7 @@ def stiffness_section(rows: list[dict], base: float, first: list[Outcome], direc
 
 def like_with_like(stiff: list[dict], alike: list[dict]) -> list[str]:
     """A sentence on both solvers' times for the same softened body; none where the implicit one keeps its modulus."""
-    softened = [row for row in stiff if row["solver"] == "implicit" and row["young_used"] < 0.999 * row["young"]]
+    softened = [row for row in stiff if row["solver"] == "implicit" and _is_softened(row)]
     if not softened or not alike:
         return []
     known = alike[0]["seconds"]
@@ -93,6 +100,10 @@ def like_with_like(stiff: list[dict], alike: list[dict]) -> list[str]:
         f"stiffer material, implicit over explicit time is {ratios}. What softening alone saves, the explicit solver "
         "saves too."
     ]
+
+
+def _is_softened(row: dict) -> bool:
+    return row["young_used"] < 0.999 * row["young"]
 
 
 def crossover(stiff: list[dict]) -> tuple[float | None, str]:

@@ -125,6 +125,15 @@ def test_like_is_compared_with_like():
     three = [timed("implicit", factor * 1e6, factor**0.5, changed=f"E{factor}") for factor in (10, 100)]
     found = stiffness_check([timed("implicit", 1e6, 1.0), *three], 1e6)
     assert (found["value"], found["holds"]) == (10.0, False)
+    assert found["name"] == "implicit cost hardly depends on stiffness"
+
+
+def test_the_cost_of_stiffness_says_which_runs_are_one_computation():
+    """E = 10 and 100 MPa are both followed with 2."""
+    alike = [timed("implicit", factor * 1e6, 1.5, used=2e6, changed=f"E{factor}") for factor in (10, 100)]
+    found = stiffness_check([timed("implicit", 1e6, 1.0), *alike], 1e6)
+    assert (found["name"], found["value"]) == ("implicit cost hardly depends on stiffness, after softening", 1.5)
+    assert "E = 10 and 100 MPa are followed with 2 MPa" in found["sentence"]
 
 
 def test_the_ladder_has_a_job_for_every_point():
