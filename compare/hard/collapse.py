@@ -307,9 +307,14 @@ def precision_finer():
     yield from _single("8 cells per r0", "explicit", MIDDLE, EIGHTH, DYNAMIC)
 
 
+# Of R_995 at D = 0.05 and lambda0 = 1, from random starts: 5e-5 at most on 5 cells per r0, 1.1e-4 on 8
+# (benchmarks/results/ensembles_cpu.csv).
+SINGLE_REASON = "round-off is all that differs: five times what it does to starts at random"
+
+
 def _single(name, *scene):
     single = collapse(*scene, "explicit.precision=float32")
-    yield same(f"float32, {name}", single, collapse(*scene), 0.01, "round-off is all that differs")
+    yield same(f"float32, {name}", single, collapse(*scene), 6e-4, SINGLE_REASON)
 
 
 @hard_case("time step", on_ranks=True)
