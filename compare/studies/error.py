@@ -55,8 +55,10 @@ def ladder(reference: str, settings: list[str], cells: list[float], finer: list[
     decided = {"explicit.damping": DAMPING, "explicit.until": "rest", "explicit.precision": "float64"}
     decided["explicit.cfl"] = CFL  # given, as a scene file may have another
     refuse_settings(settings, (*decided, "grid.cell", *SETS))
-    if scene.explicit.time_step is not None:
-        raise SceneError("explicit.time_step: the study changes explicit.cfl, which a fixed step ignores; leave it out")
+    if fixed := scene.explicit.time_step:
+        raise SceneError(
+            f"explicit.time_step = {fixed:g} [s]: a fixed step ignores explicit.cfl, which the study sets; leave it out"
+        )
     common = [*settings, *(f"{key}={value}" for key, value in decided.items()), "output.vtk=false", "output.every=2.0"]
     common.append("output.fields=['displacement', 'eps_p_eqv', 'volume']")
 
