@@ -157,7 +157,8 @@ class ImplicitRun(Run):
 
     def state_is_whole(self, _error: NumericalError) -> bool:
         """Points move only once Newton has succeeded; where they ended may be no result."""
-        return not self.misplaced(self.solver.look().beyond, self.last_row["volume_ratio"])
+        seen = self.solver.look()  # a run that goes on may fail before it has a row
+        return not self.misplaced(seen.beyond, seen.volume_ratio)
 
     def write_grid(self):
         """vtk/background.xdmf: the background mesh and the last step's displacement increment."""

@@ -163,6 +163,10 @@ def test_where_newton_fails_the_last_good_state_is_saved_and_named(tmp_path, mon
     assert last == f"last good state: t = {state['time']:.6g} s in {tmp_path / 'checkpoint.h5'}"
     assert list(Results.open(tmp_path).history()["step"]) == [0, 1, 2, 3, 4]
     assert not (tmp_path / "summary.json").exists()
+    with pytest.raises(NumericalError, match="Newton failed at the smallest step") as again:  # before it has a row
+        resume(tmp_path)
+    assert str(again.value).splitlines()[1] == last
+    assert list(Results.open(tmp_path).history()["step"]) == [0, 1, 2, 3, 4]
 
 
 def test_points_that_are_not_finite_are_never_saved(tmp_path):
