@@ -96,26 +96,23 @@ def compare(
     """Both solvers (the explicit one with D = 0.4) on the scene's grid and on a coarser one, against Eq. 4.
 
     `directory`: where runs and report are kept; None: in a temporary folder that goes with the returned object. Runs
-    that are there already are not computed again. `ranks`: as in `run`. Raises SceneError as `run`, and where dolfinx
-    is missing.
+    that are there already are not computed again; another study's report is replaced only with `force`. `ranks`: as in
+    `run`. Raises SceneError as `run`, and where dolfinx is missing.
     """
     from compare.cli.terminal import BatchMonitor
-    from compare.comparison import compare_solvers
+    from compare.comparison import compare_solvers, keep_scene
     from compare.launch import count_of, refuse_nested
     from compare.report.page import write_report
-    from mpm.load import to_toml
 
     refuse_nested("repose.compare")
-    scene, temporary = _resolved(scene), None
+    many, temporary = count_of(ranks), None
     if directory is None:
-        temporary = tempfile.TemporaryDirectory(prefix=f"{scene.name}-compare-")
+        temporary = tempfile.TemporaryDirectory(prefix=f"{_resolved(scene).name}-compare-")
         directory = temporary.name
     directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
-    file = directory / "scene.toml"
-    file.write_text(to_toml(scene), encoding="utf-8")
-    asked = f"repose.compare({str(file)!r})"
-    report = compare_solvers(directory, force, BatchMonitor(), asked, str(file), [], device, count_of(ranks))
+    reference = str(scene if isinstance(scene, str | Path) else keep_scene(scene, directory, device, force))
+    asked = f"repose.compare({reference!r})"
+    report = compare_solvers(directory, force, BatchMonitor(), asked, reference, [], device, many)
     write_report(report, directory)
     return Comparison(directory, report, temporary)
 

@@ -167,6 +167,28 @@ def test_a_comparison_has_its_page_and_its_runs():
     assert found.verdict in repr(found)
 
 
+def test_a_comparison_leaves_a_users_own_files_as_they_are(tmp_path, monkeypatch):
+    """A scene file in the folder that the comparison is kept in, and then another study's report there."""
+    pytest.importorskip("petsc4py", reason="petsc4py is not installed (see ./repose info)")
+    monkeypatch.chdir(tmp_path)
+    short = {"explicit": {"max_time": 0.05}, "implicit": {"max_steps": 1}, "output": {"vtk": False}}
+    scene = repose.load_scene("column_small", grid={"cell": 0.25}, **short)
+    file = tmp_path / "scene.toml"
+    file.write_text("# mine\n" + to_toml(scene))
+    mine = file.read_text()
+    assert repose.compare("scene.toml", ".").report["provenance"]["report made by"] == "repose.compare('scene.toml')"
+    assert file.read_text() == mine
+    assert repose.compare(scene, ".").report["failed"] == []
+    assert file.read_text() == mine
+    (kept,) = (tmp_path / "runs").glob("scene-*.toml")
+    assert repose.load_scene(kept) == scene
+    written = sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*"))
+    another = repose.load_scene(file, material={"friction_angle": 30.0})
+    with pytest.raises(repose.SceneError, match="a report about something else"):
+        repose.compare(another, ".")
+    assert sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*")) == written
+
+
 @pytest.mark.parametrize("module", ["repose", "compare.cli.main"])
 def test_importing_the_face_or_the_command_line_imports_no_numerics(module):
     """Figures, arrays and Warp take a second."""
