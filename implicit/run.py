@@ -13,6 +13,7 @@ from mpm.body import Body, build
 from mpm.devices import start_warp
 from mpm.errors import NumericalError, SceneError
 from mpm.law_state import variables
+from mpm.precheck import refuse
 from mpm.provenance import code_version, provenance
 from mpm.ranks import world
 from mpm.results import Results
@@ -34,7 +35,8 @@ def run(
     started = time.perf_counter()
     _start(device)
     body = build(scene)
-    solver = solver_of(body, regularisation)  # before the folder: it refuses some scenes
+    refuse(body, ImplicitRun.mode)
+    solver = solver_of(body, regularisation)
     described = provenance(ImplicitRun.device, ImplicitRun.precision)
     described |= libraries() | {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
     described |= {KEPT + name: value for name, value in asdict(regularisation).items()}
@@ -68,7 +70,7 @@ def _start(device: str):
 
 
 def solver_of(body: Body, regularisation: Regularisation):
-    """The solver on the ranks that the program was started on. Raises SceneError for a scene that it cannot run."""
+    """The solver on the ranks that the program was started on."""
     if (comm := world()) is None:
         return ImplicitSolver(body, regularisation)
     from implicit.ranks import RankedSolver

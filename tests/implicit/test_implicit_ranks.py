@@ -145,6 +145,18 @@ def test_load_steps_with_ranks_that_have_no_points(tmp_path):
     assert (tmp_path / "run" / "vtk" / "background.xdmf").is_file()
 
 
+def test_a_collapse_with_ranks_that_have_no_points(tmp_path):
+    """A pillar one cell wide on three ranks, under its own weight from the start."""
+    column = ("--set", "geometry={shape='box', size=[0.25, 0.25, 1.0]}", "--set", "implicit.max_steps=3")
+    for ranks in (1, 3):
+        command("run", "column_small", *COARSE, *column, "--out", tmp_path / str(ranks), "--ranks", ranks)
+    one, many = (Results.open(tmp_path / name) for name in ("1", "3"))
+    assert len(set(domains(many, 3)[0])) == 1
+    assert many.summary()["steps"] == 3
+    after_a_step = [results.history()["height"][1] for results in (one, many)]  # the next is as long as Newton lets it
+    assert 1.0 - after_a_step[1] == pytest.approx(1.0 - after_a_step[0], rel=0.01)
+
+
 def test_a_run_that_was_stopped_goes_on_to_the_same_rest_on_another_number_of_ranks(tmp_path):
     command("run", "column_small", *COARSE, "--out", tmp_path / "one")
     folder = tmp_path / "many"
