@@ -290,12 +290,15 @@ def _resolved(scene: Scene | str | Path) -> Scene:
 
 
 def _finished(directory: Path, scene: Scene, mode: str, device: str) -> bool:
-    """Whether `directory` holds the finished run of this scene by this solver as it is now, on this device."""
-    from mpm.provenance import code_version
+    """Whether `directory` holds the finished run of this scene by this solver, both as they are now, on this device.
+
+    Raises SceneError for a mesh file that is gone.
+    """
+    from mpm.provenance import decisive
     from mpm.results import RESULTS, SUMMARY, Results
 
     if not ((directory / RESULTS).is_file() and (directory / SUMMARY).is_file()):
         return False
-    here, made = Results.open(directory), {"mode": mode, "device": device, "code": code_version(mode)}
+    here, made = Results.open(directory), {"device": device} | decisive(mode, scene)
     same_run = all(here.provenance.get(key) == value for key, value in made.items())
     return same_run and here.scene == scene

@@ -14,7 +14,7 @@ from mpm.devices import start_warp
 from mpm.errors import NumericalError, SceneError
 from mpm.law_state import variables
 from mpm.precheck import refuse
-from mpm.provenance import code_version, provenance
+from mpm.provenance import decisive, provenance
 from mpm.ranks import world
 from mpm.results import Results
 from mpm.run import Run, body_of, reopen
@@ -38,7 +38,7 @@ def run(
     refuse(body, ImplicitRun.mode)
     solver = solver_of(body, regularisation)
     described = provenance(ImplicitRun.device, ImplicitRun.precision)
-    described |= libraries() | {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
+    described |= libraries() | decisive(ImplicitRun.mode, scene)
     described |= {KEPT + name: value for name, value in asdict(regularisation).items()}
     this = ImplicitRun(body, Results.create(directory, scene, described, force), solver)
     this.begin()

@@ -77,6 +77,25 @@ def test_a_cell_can_be_run_again_and_another_scene_is_not_overwritten(tmp_path, 
     assert repose.run(other, tmp_path / "run", force=True, progress=False).summary["sim_time"] == pytest.approx(0.02)
 
 
+def test_another_mesh_under_the_same_name_is_another_scene(tmp_path):
+    def block(height):
+        x = [f"v {i} {j} {k * height}" for k in (0, 1) for j in (0, 1) for i in (0, 1)]
+        return "\n".join([*x, "f 1 3 4 2", "f 5 6 8 7", "f 1 2 6 5", "f 2 4 8 6", "f 4 3 7 8", "f 3 1 5 7"])
+
+    mesh, scene = tmp_path / "body.obj", tmp_path / "scene.toml"
+    scene.write_text(
+        'name = "m"\n[geometry]\nshape = "mesh"\nfile = "body.obj"\n[grid]\ncell = 0.25\n[explicit]\nuntil = 0.01\n'
+        "[material]\nyoung = 1e6\npoisson = 0.3\ndensity = 2000.0\nfriction_angle = 30.0\n"
+    )
+    mesh.write_text(block(1.0))
+    assert repose.run(scene, tmp_path / "run", progress=False).summary["points"] == 512
+    assert repose.run(scene, tmp_path / "run", progress=False).summary["points"] == 512
+    mesh.write_text(block(0.5))
+    with pytest.raises(repose.SceneError, match="not empty"):
+        repose.run(scene, tmp_path / "run", progress=False)
+    assert repose.run(scene, tmp_path / "run", force=True, progress=False).summary["points"] == 256
+
+
 @needs_mpi
 def test_ranks_compute_the_same_run(result):
     many = repose.run(result.scene, ranks=2, progress=False)

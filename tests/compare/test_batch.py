@@ -13,6 +13,7 @@ import pytest
 
 from compare import batch
 from compare.batch import Job, Workers, run_all
+from mpm import provenance
 from mpm.errors import SceneError
 from mpm.results import Results
 
@@ -59,7 +60,7 @@ def test_a_run_is_kept_and_another_setting_never_meets_it(tmp_path):
 
 def test_the_solvers_code_and_the_device_are_part_of_what_a_run_is(monkeypatch):
     key = job().key
-    monkeypatch.setattr(batch, "code_version", lambda mode: "other")
+    monkeypatch.setattr(provenance, "code_version", lambda mode: "other")
     assert job().key != key
     monkeypatch.undo()
     monkeypatch.setattr(batch, "device_name", lambda device: "other")
