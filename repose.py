@@ -105,7 +105,7 @@ def compare(
     from compare.report.page import write_report
 
     refuse_nested("repose.compare")
-    many, temporary = count_of(ranks), None
+    many, temporary = count_of(ranks, device), None
     if directory is None:
         temporary = tempfile.TemporaryDirectory(prefix=f"{_resolved(scene).name}-compare-")
         directory = temporary.name

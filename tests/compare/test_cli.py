@@ -190,6 +190,16 @@ def test_demo_ends_with_the_page_to_open_that_compare_makes(repose, tmp_path, mo
     assert repose("demo").code == 0  # replaces the last one
 
 
+def test_demo_replaces_another_report_in_a_named_folder_only_with_force(refused, tmp_path):
+    (tmp_path / "mine").mkdir()
+    report = tmp_path / "mine" / "report.json"
+    report.write_text('{"about": {"study": "error"}}')
+    message = refused("demo", "--out", "mine")
+    assert "mine/report.json is a report about something else" in message and "--force" in message
+    assert report.read_text() == '{"about": {"study": "error"}}'
+    assert list((tmp_path / "mine").iterdir()) == [report]
+
+
 def snapshots_for_paraview(folder) -> list[float]:
     """Times [s] that folder/vtk/run.pvd lists; the files are there."""
     entries = ElementTree.parse(folder / "vtk" / "run.pvd").getroot().findall("Collection/DataSet")
