@@ -67,8 +67,10 @@ def run(
     checkpoint is saved; ChildProcessError where a rank was killed: `repose resume` goes on from the last checkpoint.
     """
     from compare.launch import call, count_of, refuse_nested, refuse_ranks
+    from compare.solvers import refuse_mode
 
     refuse_nested("repose.run")
+    refuse_mode(mode)
     if (many := count_of(ranks, device)) > 1:
         refuse_ranks(device, many)
     scene, temporary = _resolved(scene), None
@@ -226,21 +228,26 @@ class Solver:
 
     def __init__(self, scene: Scene | str | Path, mode: Mode = "explicit", device: str = "cpu"):
         """Raises SceneError with every reason why the solver would not take its first step."""
+        from compare.solvers import refuse_mode
         from mpm.body import build
         from mpm.devices import find_device
         from mpm.precheck import refuse
 
-        place = find_device(device)
-        self.body = build(_resolved(scene))
-        refuse(self.body, mode)
+        refuse_mode(mode)
         if mode == "explicit":
             from explicit.solver import ExplicitSolver
 
-            self._solver: ExplicitSolver | ImplicitSolver = ExplicitSolver(self.body, place)
+            place = find_device(device)
         else:
+            from implicit.run import start
             from implicit.solver import ImplicitSolver
 
-            self._solver = ImplicitSolver(self.body)
+            start(device)
+        self.body = build(_resolved(scene))
+        refuse(self.body, mode)
+        self._solver: ExplicitSolver | ImplicitSolver = (
+            ExplicitSolver(self.body, place) if mode == "explicit" else ImplicitSolver(self.body)
+        )
 
     def advance_to(self, time: float) -> None:
         """Step to `time` [s], the implicit solver by less than a step beyond. NumericalError where it diverges."""

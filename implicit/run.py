@@ -33,7 +33,7 @@ def run(
     message names the last checkpoint), Interrupted (Ctrl-C, after a checkpoint).
     """
     started = time.perf_counter()
-    _start(device)
+    start(device)
     body = build(scene)
     refuse(body, ImplicitRun.mode)
     solver = solver_of(body, regularisation)
@@ -53,7 +53,7 @@ def resume(directory, device=None, monitor=None) -> dict:
     """
     started = time.perf_counter()
     results = reopen(directory)
-    _start(device or ImplicitRun.device)
+    start(device or ImplicitRun.device)
     kept = {name: value for name, value in results.provenance.items() if name.startswith(KEPT)}
     regularisation = Regularisation(**{name.removeprefix(KEPT): value for name, value in kept.items()})
     body = body_of(results)
@@ -62,8 +62,8 @@ def resume(directory, device=None, monitor=None) -> dict:
     return this.go(started, monitor)
 
 
-def _start(device: str):
-    """Raises SceneError for any device but the CPU."""
+def start(device: str):
+    """Initialise what the solver computes with. Raises SceneError for any device but the CPU."""
     if device != ImplicitRun.device:
         raise SceneError(f"--device {device}: the implicit solver runs on the CPU")
     start_warp()

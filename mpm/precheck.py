@@ -24,7 +24,7 @@ def refusals(body: Body, mode: str) -> list[str]:
 
     What is wrong with a scene whatever solves it, `mpm.load.load_scene` and `mpm.body.build` refuse.
     """
-    return (_explicit if mode == "explicit" else _implicit)(body) + _geostatic(body, mode)
+    return {"explicit": _explicit, "implicit": _implicit}[mode](body) + _geostatic(body, mode)
 
 
 def over_courant(time_step: float, limit: float) -> str:

@@ -170,6 +170,19 @@ def test_a_solver_refuses_what_a_run_would():
         repose.Solver(repose.load_scene("column_small", explicit={"time_step": 1.0}))
 
 
+@pytest.mark.parametrize("call", [repose.run, repose.Solver])
+def test_a_solver_that_is_not_there_is_refused(call):
+    with pytest.raises(repose.SceneError, match=r"^mode = 'Implicit': must be 'explicit' or 'implicit'$"):
+        call("column_small", mode="Implicit")
+
+
+def test_the_implicit_solver_refuses_a_gpu():
+    pytest.importorskip("petsc4py", reason="petsc4py is not installed (see ./repose info)")
+    for call in (repose.run, repose.Solver):
+        with pytest.raises(repose.SceneError, match=r"^--device cuda:0: the implicit solver runs on the CPU$"):
+            call("column_small", mode="implicit", device="cuda:0")
+
+
 def test_the_implicit_solver_steps_in_pseudo_time():
     pytest.importorskip("petsc4py", reason="petsc4py is not installed (see ./repose info)")
     solver = repose.Solver(repose.load_scene("column_small", grid={"cell": 0.25}), mode="implicit")
