@@ -8,7 +8,8 @@ from xml.etree import ElementTree
 import meshio
 import numpy as np
 import pytest
-from program import COARSE, TINY, but_compiling, needs_dolfinx, start
+from installed import needs_implicit
+from program import COARSE, TINY, but_compiling, start
 
 from compare.cli import main as cli
 from mpm.fields import UNITS
@@ -130,7 +131,7 @@ def test_export_writes_chosen_fields_again_as_vtu_or_csv(repose, refused, tmp_pa
 # Implicit mode
 
 
-@needs_dolfinx
+@needs_implicit
 def test_implicit_mode_stops_resumes_and_is_drawn_as_the_explicit_one(repose, tmp_path):
     class Impatient(cli.Monitor):
         def row(self, run, row):
@@ -162,14 +163,14 @@ def test_implicit_mode_stops_resumes_and_is_drawn_as_the_explicit_one(repose, tm
     assert repose("plot", where).out.split() == [f"{where}/{name}.png" for name in ("morphology", "profile", "history")]
 
 
-@needs_dolfinx
+@needs_implicit
 def test_implicit_mode_refuses_a_gpu(refused, tmp_path):
     message = refused("run", *COARSE, "--mode", "implicit", "--device", "cuda:0")
     assert message == "error: --device cuda:0: the implicit solver runs on the CPU\n"
     assert list(tmp_path.iterdir()) == []
 
 
-@needs_dolfinx
+@needs_implicit
 def test_demo_ends_with_the_page_to_open_that_compare_makes(repose, tmp_path, monkeypatch):
     monkeypatch.setattr(
         cli, "DEMO", ("column_small", ["grid.cell=0.25", "explicit.max_time=0.2", "implicit.max_steps=3"])

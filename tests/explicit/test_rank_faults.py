@@ -1,22 +1,21 @@
 """What goes wrong on one of several ranks ends all of them, with one message and the last checkpoint whole."""
 
-import importlib.util
 import os
 import re
-import shutil
 import signal
 import subprocess
 import time
 
 import numpy as np
 import pytest
+from installed import HAS_RANKS, NO_RANKS
 
 from compare import launch
 from mpm.errors import INTERRUPTED
 from mpm.results import Results
 
-if importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None:
-    pytest.skip("no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)", allow_module_level=True)
+if not HAS_RANKS:
+    pytest.skip(NO_RANKS, allow_module_level=True)
 
 LONGEST = 120  # seconds: nothing hangs
 AFTER = 30  # steps that are well before what goes wrong

@@ -1,12 +1,12 @@
 """How an implicit run ends and goes on: rest, the most steps, an interrupt, a Newton that fails, a scene refused."""
 
-import importlib.util
 import signal
 from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
+from installed import HAS_IMPLICIT, NO_IMPLICIT
 
 from mpm.body import build
 from mpm.errors import NumericalError, SceneError
@@ -14,8 +14,8 @@ from mpm.load import load_scene, parse_scene
 from mpm.results import Results
 from mpm.run import Interrupted
 
-if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
-    pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
+if not HAS_IMPLICIT:
+    pytest.skip(NO_IMPLICIT, allow_module_level=True)
 
 from implicit import solver
 from implicit._dolfinx import dolfinx
