@@ -67,8 +67,10 @@ def run(
     checkpoint is saved; ChildProcessError where a rank was killed: `repose resume` goes on from the last checkpoint.
     """
     from compare.launch import call, count_of, refuse_nested, refuse_ranks
+    from compare.solvers import refuse_mode
 
     refuse_nested("repose.run")
+    refuse_mode(mode)
     if (many := count_of(ranks, device)) > 1:
         refuse_ranks(device, many)
     scene, temporary = _resolved(scene), None
@@ -96,26 +98,23 @@ def compare(
     """Both solvers (the explicit one with D = 0.4) on the scene's grid and on a coarser one, against Eq. 4.
 
     `directory`: where runs and report are kept; None: in a temporary folder that goes with the returned object. Runs
-    that are there already are not computed again. `ranks`: as in `run`. Raises SceneError as `run`, and where dolfinx
-    is missing.
+    that are there already are not computed again; another study's report is replaced only with `force`. `ranks`: as in
+    `run`. Raises SceneError as `run`, and where dolfinx is missing.
     """
     from compare.cli.terminal import BatchMonitor
-    from compare.comparison import compare_solvers
+    from compare.comparison import compare_solvers, keep_scene
     from compare.launch import count_of, refuse_nested
     from compare.report.page import write_report
-    from mpm.load import to_toml
 
     refuse_nested("repose.compare")
-    scene, temporary = _resolved(scene), None
+    many, temporary = count_of(ranks, device), None
     if directory is None:
-        temporary = tempfile.TemporaryDirectory(prefix=f"{scene.name}-compare-")
+        temporary = tempfile.TemporaryDirectory(prefix=f"{_resolved(scene).name}-compare-")
         directory = temporary.name
     directory = Path(directory)
-    directory.mkdir(parents=True, exist_ok=True)
-    file = directory / "scene.toml"
-    file.write_text(to_toml(scene), encoding="utf-8")
-    asked = f"repose.compare({str(file)!r})"
-    report = compare_solvers(directory, force, BatchMonitor(), asked, str(file), [], device, count_of(ranks))
+    reference = str(scene if isinstance(scene, str | Path) else keep_scene(scene, directory, device, force))
+    asked = f"repose.compare({reference!r})"
+    report = compare_solvers(directory, force, BatchMonitor(), asked, reference, [], device, many)
     write_report(report, directory)
     return Comparison(directory, report, temporary)
 
@@ -229,21 +228,26 @@ class Solver:
 
     def __init__(self, scene: Scene | str | Path, mode: Mode = "explicit", device: str = "cpu"):
         """Raises SceneError with every reason why the solver would not take its first step."""
+        from compare.solvers import refuse_mode
         from mpm.body import build
         from mpm.devices import find_device
         from mpm.precheck import refuse
 
-        place = find_device(device)
-        self.body = build(_resolved(scene))
-        refuse(self.body, mode)
+        refuse_mode(mode)
         if mode == "explicit":
             from explicit.solver import ExplicitSolver
 
-            self._solver: ExplicitSolver | ImplicitSolver = ExplicitSolver(self.body, place)
+            place = find_device(device)
         else:
+            from implicit.run import start
             from implicit.solver import ImplicitSolver
 
-            self._solver = ImplicitSolver(self.body)
+            start(device)
+        self.body = build(_resolved(scene))
+        refuse(self.body, mode)
+        self._solver: ExplicitSolver | ImplicitSolver = (
+            ExplicitSolver(self.body, place) if mode == "explicit" else ImplicitSolver(self.body)
+        )
 
     def advance_to(self, time: float) -> None:
         """Step to `time` [s], the implicit solver by less than a step beyond. NumericalError where it diverges."""
@@ -293,12 +297,15 @@ def _resolved(scene: Scene | str | Path) -> Scene:
 
 
 def _finished(directory: Path, scene: Scene, mode: str, device: str) -> bool:
-    """Whether `directory` holds the finished run of this scene by this solver as it is now, on this device."""
-    from mpm.provenance import code_version
+    """Whether `directory` holds the finished run of this scene by this solver, both as they are now, on this device.
+
+    Raises SceneError for a mesh file that is gone.
+    """
+    from mpm.provenance import decisive
     from mpm.results import RESULTS, SUMMARY, Results
 
     if not ((directory / RESULTS).is_file() and (directory / SUMMARY).is_file()):
         return False
-    here, made = Results.open(directory), {"mode": mode, "device": device, "code": code_version(mode)}
+    here, made = Results.open(directory), {"device": device} | decisive(mode, scene)
     same_run = all(here.provenance.get(key) == value for key, value in made.items())
     return same_run and here.scene == scene

@@ -24,9 +24,9 @@ from mpm.devices import find_device
 from mpm.errors import INTERRUPTED, SceneError
 from mpm.load import load_scene
 from mpm.precheck import refusals
-from mpm.provenance import code_version, device_name
+from mpm.provenance import code_version, decisive, device_name
 from mpm.results import Results
-from mpm.scene import Mesh, Scene
+from mpm.scene import Scene
 
 LOCK = "lock"
 LOOK_EVERY = 0.2  # [s] between looks at the processes
@@ -67,16 +67,10 @@ class Job:
         Raises SceneError for a device that is not there, with a list of those that are, or an unreadable mesh file.
         """
         find_device(self.device)
-        decides: list[Any] = [self.scene.model_dump(mode="json"), self.mode, self.regularisation]
-        decides += [device_name(self.device), code_version(self.mode)]
+        decides: list[Any] = [self.scene.model_dump(mode="json"), self.regularisation, device_name(self.device)]
+        decides.append(decisive(self.mode, self.scene))
         if self.ranks > 1:
             decides.append(f"{self.ranks} ranks")
-        if isinstance(self.scene.geometry, Mesh):
-            file = Path(self.scene.geometry.file)
-            try:
-                decides.append(hashlib.sha256(file.read_bytes()).hexdigest())
-            except OSError as error:
-                raise SceneError(f"geometry.file = {file}: {error.strerror}") from error
         return hashlib.sha256(json.dumps(decides, sort_keys=True).encode()).hexdigest()[:12]
 
     @property

@@ -1,5 +1,7 @@
 """`repose compare`: implicit against explicit with D = 0.4 and against Eq. 4, from one scene, as a report."""
 
+import hashlib
+import tempfile
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +28,7 @@ from compare.report.sections import (
 from compare.studies import refuse_settings
 from mpm.body import build
 from mpm.errors import SceneError
-from mpm.load import load_scene
+from mpm.load import load_scene, to_toml
 from mpm.runout import front
 from mpm.scene import Scene
 from mpm.theory import outlook, theory
@@ -64,6 +66,28 @@ def plan(reference: str, settings: list[str], device: str) -> list[Job]:
     ]
 
 
+def keep_scene(scene: Scene, directory: Path, device: str, force: bool) -> Path:
+    """A file of `scene` among the runs of its comparison in `directory`, whose commands name it.
+
+    Raises SceneError, and writes nothing, where `plan` does and where another study's report is in `directory`.
+    """
+    text = to_toml(scene)
+    name = f"scene-{hashlib.sha256(text.encode()).hexdigest()[:12]}.toml"  # that no other scene's file has
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / name
+        file.write_text(text, encoding="utf-8")
+        refuse_another(directory, _about_what(plan(str(file), [], device), device), force)
+    kept = directory / "runs" / name
+    kept.parent.mkdir(parents=True, exist_ok=True)
+    kept.write_text(text, encoding="utf-8")
+    return kept
+
+
+def _about_what(jobs: list[Job], device: str) -> dict:
+    """What a comparison is about, for `refuse_another`."""
+    return {"study": "compare", "scene": jobs[0].scene.model_dump(mode="json"), "device": device}
+
+
 def compare_solvers(
     directory: Path, force, monitor, command: str, reference: str, settings, device: str, ranks: int = 1
 ) -> dict:
@@ -74,7 +98,7 @@ def compare_solvers(
     """
     jobs = plan(reference, settings, device)
     scene = jobs[0].scene
-    about_what = {"study": "compare", "scene": scene.model_dump(mode="json"), "device": device}
+    about_what = _about_what(jobs, device)
     refuse_another(directory, about_what, force)
     outcomes = run_all(jobs, directory / "runs", Workers(ranks=ranks), force, monitor)
     labels = [_label(one) for one in outcomes]

@@ -9,7 +9,8 @@ import numpy as np
 
 from mpm.errors import SceneError
 from mpm.results import Results
-from mpm.runout import Measure, run_out
+from mpm.run import body_of
+from mpm.runout import run_out
 from mpm.scene import Box, Column, Scene
 from mpm.seed import SHARE
 from mpm.theory import eq4, tan_phi
@@ -55,11 +56,11 @@ def profile(x, scene: Scene, axis=(0.0, 0.0)) -> Profile:
     the mass is and holds all of it, however much the deposit has swollen.
     """
     # A point stands for its domain: as four quarters in plan it errs three times less where rings cut the lattice.
-    quarter = half_length(scene) / 2 * np.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
+    quarter = scene.grid.half_length / 2 * np.array([[-1, -1, 0], [-1, 1, 0], [1, -1, 0], [1, 1, 0]])
     about_axis = np.asarray(x, float) - [*axis, 0.0]
     ring, edges = _rings((about_axis[:, None] + quarter).reshape(-1, 3), scene)
     power, scale = _area_within(scene)
-    volume = np.bincount(ring) * _point_volume(scene) / len(quarter)
+    volume = np.bincount(ring) * scene.grid.point_volume / len(quarter)
     return Profile(edges, volume / (scale * np.diff(edges**power)), power, scale)
 
 
@@ -67,7 +68,7 @@ def highest(x, scene: Scene) -> np.ndarray:
     """Top [m] of the highest point on each ring of `profile(x, scene)`, half-length included; NaN where empty."""
     ring, edges = _rings(x, scene)
     top = np.full(len(edges) - 1, -np.inf)
-    np.maximum.at(top, ring, np.asarray(x, float)[:, 2] + half_length(scene))
+    np.maximum.at(top, ring, np.asarray(x, float)[:, 2] + scene.grid.half_length)
     return np.where(np.isinf(top), np.nan, top)
 
 
@@ -135,15 +136,13 @@ def deposit(results: Results) -> dict[str, float | None]:
         raise SceneError(f"{results.directory} has no snapshot to measure")
     scene, last = results.scene, results.snapshot(-1)
     x = last["x"].astype(float)  # from single precision, whose sums over all points are coarse
-    axes = (0,) if isinstance(scene.geometry, Box) else (0, 1)
-    reference, axis = results.read_static("extent")[0], axis_of(results)
-    measure = Measure(axes, reference, half_length(scene), scene.grid.cell, tuple(axis))
+    body = body_of(results)
     volume_error = None
     if "volume" in last:
-        volume_error = float(last["volume"].astype(float).sum() / (len(x) * _point_volume(scene)) - 1.0)
+        volume_error = float(last["volume"].astype(float).sum() / (len(x) * body.point_volume) - 1.0)
     return {
-        **run_out(x, measure),
-        "flank_angle": flank_angle(profile(x, scene, axis)),
+        **run_out(x, body.measure),
+        "flank_angle": flank_angle(profile(x, scene, body.measure.axis)),
         "centre_height": float(x[:, 2].mean()),
         "volume_error": volume_error,
     }
@@ -171,13 +170,3 @@ def _thickness_between(edges, profile):
     """Thickness [m] between each two of `edges`, all of the profile's among them; 0 outside the profile."""
     padded = np.concatenate([[0.0], profile.thickness, [0.0]])
     return padded[np.searchsorted(profile.edges, (edges[1:] + edges[:-1]) / 2)]
-
-
-def half_length(scene) -> float:
-    """A point's half-length [m]."""
-    return scene.grid.cell / (2 * scene.grid.points_per_cell)
-
-
-def _point_volume(scene):
-    """Initial volume of a point [m3]."""
-    return (scene.grid.cell / scene.grid.points_per_cell) ** 3

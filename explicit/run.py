@@ -11,7 +11,7 @@ from mpm.devices import find_device
 from mpm.errors import NumericalError, StepRefused
 from mpm.law_state import variables
 from mpm.precheck import refuse
-from mpm.provenance import code_version, provenance
+from mpm.provenance import decisive, provenance
 from mpm.ranks import world
 from mpm.results import Results
 from mpm.run import Run, body_of, reopen
@@ -41,10 +41,9 @@ def run(scene: Scene, directory, device="cpu", force=False, monitor=None) -> dic
     started = time.perf_counter()
     find_device(device)  # before what takes longer
     body = build(scene)
-    mode = ExplicitRun.mode
-    refuse(body, mode)
+    refuse(body, ExplicitRun.mode)
     solver = solver_of(body, device)  # before the folder: there may be too few devices for the ranks
-    described = provenance(device, scene.explicit.precision) | {"mode": mode, "code": code_version(mode)}
+    described = provenance(device, scene.explicit.precision) | decisive(ExplicitRun.mode, scene)
     results = Results.create(directory, scene, described, force)
     this = ExplicitRun(body, results, solver)
     this.begin()

@@ -32,12 +32,12 @@ class BackgroundMesh:
         self.dof_of = np.empty((0, 0, 0), np.int32)
         self.corner = np.zeros(3, int)
 
-    def follow(self, base: np.ndarray, cut: Cut | int = 0) -> bool:
-        """Cover the stencils that start at nodes `base` (n, 3) of any rank, the plan being cut by `cut`; True where the
-        mesh had to be made anew."""
+    def follow(self, base: np.ndarray, cut: Cut | int = 0):
+        """Cover the stencils that start at nodes `base` (n, 3) of any rank, the plan being cut by `cut`, by a new mesh
+        where this one does not."""
         first = np.unique(base, axis=0)
         if self.comm.allreduce(self.cut == cut and self._covers(first), MPI.LAND):
-            return False
+            return
         self.cut, first = cut, np.unique(np.concatenate(self.comm.allgather(first)), axis=0)
         # A stencil of three nodes per axis spans two cells.
         low = first.min(axis=0) - MARGIN
@@ -46,7 +46,6 @@ class BackgroundMesh:
             cells[tuple((first - low + offset).T)] = True
         cells = binary_dilation(cells, np.ones((3, 3, 3), bool), iterations=MARGIN)
         self._make(cells, low)
-        return True
 
     def write(self, path, dofs: np.ndarray, increment: np.ndarray):
         """Mesh and displacement increment (count, 3) [m] of the blocks `dofs` (count,) as XDMF, for ParaView."""

@@ -16,7 +16,6 @@ from mpm.devices import start_warp
 from mpm.geostatic import geostatic_strain
 from mpm.law_state import by_name, by_point
 from mpm.parts import Gathered, Part, Whole
-from mpm.precheck import refuse
 from mpm.watch import Look, look
 
 
@@ -109,7 +108,7 @@ class GatheredPoints:
 class RankedSolver(Whole):
     """The interface of `ImplicitSolver` for a body that is spread over the ranks of `comm`, on its first rank.
 
-    Arrays and counts are of the whole body. Raises SceneError as `ImplicitSolver`.
+    Arrays and counts are of the whole body.
     """
 
     SAME = (
@@ -123,7 +122,6 @@ class RankedSolver(Whole):
     )
 
     def __init__(self, body: Body, regularisation: Regularisation, comm):
-        refuse(body, "implicit")
         super().__init__(domain, body, regularisation, comm)
         self.body = self.part.whole
         self.material_points = GatheredPoints(self)

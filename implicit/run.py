@@ -13,7 +13,8 @@ from mpm.body import Body, build
 from mpm.devices import start_warp
 from mpm.errors import NumericalError, SceneError
 from mpm.law_state import variables
-from mpm.provenance import code_version, provenance
+from mpm.precheck import refuse
+from mpm.provenance import decisive, provenance
 from mpm.ranks import world
 from mpm.results import Results
 from mpm.run import Run, body_of, reopen
@@ -32,11 +33,12 @@ def run(
     message names the last checkpoint), Interrupted (Ctrl-C, after a checkpoint).
     """
     started = time.perf_counter()
-    _start(device)
+    start(device)
     body = build(scene)
-    solver = solver_of(body, regularisation)  # before the folder: it refuses some scenes
+    refuse(body, ImplicitRun.mode)
+    solver = solver_of(body, regularisation)
     described = provenance(ImplicitRun.device, ImplicitRun.precision)
-    described |= libraries() | {"mode": ImplicitRun.mode, "code": code_version(ImplicitRun.mode)}
+    described |= libraries() | decisive(ImplicitRun.mode, scene)
     described |= {KEPT + name: value for name, value in asdict(regularisation).items()}
     this = ImplicitRun(body, Results.create(directory, scene, described, force), solver)
     this.begin()
@@ -51,7 +53,7 @@ def resume(directory, device=None, monitor=None) -> dict:
     """
     started = time.perf_counter()
     results = reopen(directory)
-    _start(device or ImplicitRun.device)
+    start(device or ImplicitRun.device)
     kept = {name: value for name, value in results.provenance.items() if name.startswith(KEPT)}
     regularisation = Regularisation(**{name.removeprefix(KEPT): value for name, value in kept.items()})
     body = body_of(results)
@@ -60,15 +62,15 @@ def resume(directory, device=None, monitor=None) -> dict:
     return this.go(started, monitor)
 
 
-def _start(device: str):
-    """Raises SceneError for any device but the CPU."""
+def start(device: str):
+    """Initialise what the solver computes with. Raises SceneError for any device but the CPU."""
     if device != ImplicitRun.device:
         raise SceneError(f"--device {device}: the implicit solver runs on the CPU")
     start_warp()
 
 
 def solver_of(body: Body, regularisation: Regularisation):
-    """The solver on the ranks that the program was started on. Raises SceneError for a scene that it cannot run."""
+    """The solver on the ranks that the program was started on."""
     if (comm := world()) is None:
         return ImplicitSolver(body, regularisation)
     from implicit.ranks import RankedSolver
@@ -157,7 +159,8 @@ class ImplicitRun(Run):
 
     def state_is_whole(self, _error: NumericalError) -> bool:
         """Points move only once Newton has succeeded; where they ended may be no result."""
-        return not self.misplaced(self.solver.look().beyond, self.last_row["volume_ratio"])
+        seen = self.solver.look()  # a run that goes on may fail before it has a row
+        return not self.misplaced(seen.beyond, seen.volume_ratio)
 
     def write_grid(self):
         """vtk/background.xdmf: the background mesh and the last step's displacement increment."""

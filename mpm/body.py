@@ -6,7 +6,6 @@ import numpy as np
 
 from mpm.drucker_prager import Constants
 from mpm.fit import Fit
-from mpm.gimp import HALF_LENGTH_IN_CELLS
 from mpm.runout import Measure
 from mpm.scene import Box, Scene
 from mpm.seed import Seeds, scattered, seed
@@ -51,14 +50,13 @@ def build(scene: Scene, seeds: Seeds | None = None) -> Body:
         if scene.grid.scatter > 0:
             seeds = scattered(seeds, 0.5 * cell, scene.grid.scatter, scene.grid.realisation)
     axes = (0,) if isinstance(scene.geometry, Box) else (0, 1)
-    measure = Measure(axes, seeds.reference, HALF_LENGTH_IN_CELLS * cell, cell, seeds.axis)
+    measure = Measure(axes, seeds.reference, scene.grid.half_length, cell, seeds.axis)
     constants = scene.material.constants()
-    volume = (0.5 * cell) ** 3
     return Body(
         scene=scene,
         x=seeds.x,
-        point_volume=volume,
-        point_mass=constants.density * volume,
+        point_volume=scene.grid.point_volume,
+        point_mass=constants.density * scene.grid.point_volume,
         constants=constants,
         walls=walls_of(scene),
         measure=measure,

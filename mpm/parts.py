@@ -14,7 +14,7 @@ import numpy as np
 
 from mpm.body import Body
 from mpm.domains import UNEVEN, cut_plan, histogram, migrate, owner_of
-from mpm.errors import NumericalError, SceneError
+from mpm.errors import INTERRUPTED, NumericalError, SceneError
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 
 BUILD, DISMISS = "build", "dismiss"
@@ -98,9 +98,10 @@ def serve(comm):
 
 def abort(comm, error: BaseException):
     """Say what ended this rank, and end all: those that wait for it in the middle of an order would do so for ever."""
-    # Not to sys.stderr, which a progress bar may hold back.
-    print(f"error: rank {comm.rank}: {str(error) or type(error).__name__}", file=sys.__stderr__, flush=True)
-    comm.Abort(1)
+    stopped = isinstance(error, KeyboardInterrupt)
+    said = "interrupted" if stopped else f"error: rank {comm.rank}: {str(error) or type(error).__name__}"
+    print(said, file=sys.__stderr__, flush=True)  # not to sys.stderr, which a progress bar may hold back
+    comm.Abort(INTERRUPTED if stopped else 1)
 
 
 def dismiss(comm):

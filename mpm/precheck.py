@@ -24,7 +24,7 @@ def refusals(body: Body, mode: str) -> list[str]:
 
     What is wrong with a scene whatever solves it, `mpm.load.load_scene` and `mpm.body.build` refuse.
     """
-    return (_explicit if mode == "explicit" else _implicit)(body) + _geostatic(body, mode)
+    return {"explicit": _explicit, "implicit": _implicit}[mode](body) + _geostatic(body, mode) + _lattice(body)
 
 
 def over_courant(time_step: float, limit: float) -> str:
@@ -36,8 +36,17 @@ def over_courant(time_step: float, limit: float) -> str:
 
 
 def _explicit(body: Body) -> list[str]:
-    step, limit = body.scene.explicit.time_step, body.scene.grid.cell / limit_bulk(body).constants.p_wave_speed
-    return [over_courant(step, limit)] if step and step > limit else []
+    """A step that is too long, and an end that would be passed over in silence."""
+    asked, limit = body.scene.explicit, body.scene.grid.cell / limit_bulk(body).constants.p_wave_speed
+    problems = []
+    if asked.time_step and asked.time_step > limit:
+        problems.append(over_courant(asked.time_step, limit))
+    if asked.max_time and asked.until != "rest":
+        problems.append(
+            f"explicit.max_time = {asked.max_time:g}: ends a run to rest, and explicit.until = {asked.until:g} [s] "
+            "ends this one; leave it out, or set explicit.until = 'rest'"
+        )
+    return problems
 
 
 def _implicit(body: Body) -> list[str]:
@@ -51,6 +60,17 @@ def _implicit(body: Body) -> list[str]:
             "implicit.load_steps with loads.initial_stress = 'none'"
         )
     return problems
+
+
+def _lattice(body: Body) -> list[str]:
+    """A random start that is asked for by number alone: all numbers would give the same points."""
+    grid = body.scene.grid
+    if not grid.realisation or grid.scatter > 0:
+        return []
+    return [
+        f"grid.realisation = {grid.realisation}: points start on a lattice, as grid.scatter = 0; that must be > 0 and "
+        "<= 1 [-] for random starts; or leave grid.realisation out"
+    ]
 
 
 def _geostatic(body: Body, mode: str) -> list[str]:

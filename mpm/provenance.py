@@ -10,7 +10,12 @@ import sys
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
+
+from mpm.errors import SceneError
+
+if TYPE_CHECKING:  # it imports Warp, which takes most of a second
+    from mpm.scene import Scene
 
 PROJECT = Path(__file__).resolve().parents[1]
 DOLFINX_APT = "apt-get install --no-install-recommends python3-dolfinx-real python3-petsc4py-real"
@@ -66,6 +71,22 @@ def code_version(solver: str) -> str:
         for path in sorted((PROJECT / package).rglob("*.py")):
             digest.update(path.relative_to(PROJECT).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]
+
+
+def decisive(mode: str, scene: "Scene") -> dict[str, str]:
+    """What beside the keys of `scene` and the device decides the results of the solver `mode`: its code and, of a body
+    read from a mesh file, that file's digest.
+
+    Raises SceneError for a mesh file that cannot be read.
+    """
+    decides = {"mode": mode, "code": code_version(mode)}
+    if scene.geometry.shape == "mesh":
+        file = Path(scene.geometry.file)
+        try:
+            decides["mesh_file"] = hashlib.sha256(file.read_bytes()).hexdigest()
+        except OSError as error:
+            raise SceneError(f"geometry.file = {file}: {error.strerror}") from error
+    return decides
 
 
 def device_name(device: str) -> str:

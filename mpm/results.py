@@ -197,8 +197,6 @@ class Results:
                 rows = column[kept]
                 file["history"][name].resize(rows.shape)
                 file["history"][name][...] = rows
-            for name in ("finished", "summary"):
-                file.attrs.pop(name, None)
         (self.directory / SUMMARY).unlink(missing_ok=True)
 
     @property
@@ -234,11 +232,8 @@ class Results:
             return scalars | {name: array[()] for name, array in file.items()}
 
     def finish(self, summary: dict) -> None:
-        """Mark the run as ended: summary.json, and the same in results.h5. NaN and infinities become null."""
+        """Mark the run as ended, by summary.json. NaN and infinities become null."""
         text = json.dumps(json_value(summary), indent=2, allow_nan=False) + "\n"
-        with self._writing(len(text)) as file:
-            file.attrs["finished"] = True
-            file.attrs["summary"] = text
         replace_file(self.directory / SUMMARY, lambda path: path.write_text(text, encoding="utf-8"))
 
     def summary(self) -> dict | None:

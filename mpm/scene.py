@@ -6,6 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from mpm.drucker_prager import CONES, Constants, dilatancy_slope, friction_cone
 from mpm.fields import UNITS
+from mpm.gimp import HALF_LENGTH_IN_CELLS
 
 Wall = Literal["free", "roller", "fixed"]
 Symmetry = Literal["quarter", "half", "full"]
@@ -86,6 +87,16 @@ class Grid(Section):
     )
     scatter: float = quantity("-", "share of their spacing within which points start at random places", 0.0, ge=0, le=1)
     realisation: int = quantity("-", "which of the random starts, where scatter > 0", 0, ge=0)
+
+    @property
+    def half_length(self) -> float:
+        """Half-length l [m] of a point's domain."""
+        return HALF_LENGTH_IN_CELLS * self.cell
+
+    @property
+    def point_volume(self) -> float:
+        """Initial volume [m3] of a point."""
+        return (self.cell / self.points_per_cell) ** 3
 
 
 class Material(Section):

@@ -1,5 +1,5 @@
 """Closed forms, and of which scenes they speak: the run-out R = (r_inf - r0)/r0 of a column with aspect ratio lambda0 =
-h0/r0; self-weight.
+h0/r0; the height at which a vertical cut stands.
 
 Equation numbers are those of Wyser et al. 2023 (Geosciences 13, 119). Lengths of the run-out are in units of r0.
 """
@@ -7,7 +7,6 @@ Equation numbers are those of Wyser et al. 2023 (Geosciences 13, 119). Lengths o
 import math
 
 import numpy as np
-from scipy.special import lambertw
 
 from mpm.body import Body
 from mpm.scene import Column, Scene
@@ -74,28 +73,6 @@ def critical_height(cohesion, density, gravity, friction_angle):
     for plane strain with the stability number of a circular slip (Fellenius; 4 on a plane one).
     """
     return CUT_STABILITY * cohesion / (density * gravity) * np.tan(np.radians(45.0 + 0.5 * friction_angle))
-
-
-def self_weight_stretch(young, density, gravity, depth):
-    """Vertical stretch [-] at initial `depth` [m] below the top of a column that its own weight compacts, nu = 0.
-
-    Hencky strain and Kirchhoff stress, tau = E ln(stretch), with no lateral strain, so that J = stretch and the Cauchy
-    stress tau/J is also the force per initial area. It carries what lies above: E ln(stretch)/stretch = -rho g depth.
-    With s = rho g depth/E that is s stretch exp(s stretch) = s: stretch = W(s)/s, W Lambert's function.
-    `young` [Pa], initial `density` [kg/m3], `gravity` [m/s2].
-    """
-    s = density * gravity * np.asarray(depth, float) / young
-    return np.exp(-lambertw(s).real)  # W(s)/s = exp(-W(s)), which also holds at s = 0
-
-
-def self_weight_height(young, density, gravity, height):
-    """Height [m] to which a column of initial `height` [m] is compacted (see `self_weight_stretch`).
-
-    The stretch integrated over the depth: with s = W exp(W), ds = (1 + W) exp(W) dW and stretch = exp(-W) it is
-    E/(rho g) times the integral of (1 + W) dW, that is (E/(rho g)) (W + W^2/2) at s = rho g height/E.
-    """
-    w = lambertw(density * gravity * np.asarray(height, float) / young).real
-    return young / (density * gravity) * (w + 0.5 * w * w)
 
 
 def _truncated_cone(a):

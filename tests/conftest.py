@@ -1,6 +1,7 @@
 """What tests share: a solver built from a scene with overrides, and run to a time; the ranks that were started."""
 
 import os
+import sys
 
 import pytest
 
@@ -32,6 +33,14 @@ def run_to():
             yield solver.time
 
     return march
+
+
+@pytest.fixture
+def found_by_processes(monkeypatch):
+    """Programs that the test starts find the modules of tests, as this process does."""
+    here = os.path.dirname(__file__)
+    folders = [folder for folder in sys.path if folder.startswith(here)]
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*folders, os.environ.get("PYTHONPATH", "")]))
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from installed import needs_implicit
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 MOST_LINES = 40
@@ -53,8 +54,8 @@ def test_own_mesh(example):
     assert its["height"] / foot < np.tan(np.radians(35.0))
 
 
+@needs_implicit
 def test_implicit_against_explicit(example):
-    pytest.importorskip("petsc4py", reason="petsc4py is not installed (see ./repose info)")
     its = example("implicit_against_explicit", "mass_within.png")
     assert {run.summary["stop_reason"] for run in its["runs"].values()} == {"rest"}
     assert its["runs"]["implicit"].summary["unbalanced_ratio"] <= 5e-3

@@ -1,9 +1,7 @@
 """`repose` in a Jupyter notebook that is executed without a browser."""
 
-import importlib.util
-import shutil
-
 import pytest
+from installed import needs_ranks
 
 nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed: pip install -e '.[test]'")
 nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed: pip install -e '.[test]'")
@@ -50,10 +48,7 @@ def test_a_notebook_runs_draws_and_runs_again(run_notebook):
     assert list(beside.iterdir()) == []
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None,
-    reason="no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)",
-)
+@needs_ranks
 def test_a_cell_computes_on_two_ranks_and_shows_how_far_they_are(run_notebook):
     ranks = 'result = repose.run(scene, ranks=2)\nprint(result.summary["ranks"], "ranks")'
     notebook, _ = run_notebook(CELLS[0], ranks)

@@ -1,8 +1,6 @@
 """The Python face: what a script or a notebook calls."""
 
-import importlib.util
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,18 +9,13 @@ import time
 
 import numpy as np
 import pytest
+from installed import needs_implicit, needs_ranks
 from matplotlib.figure import Figure
 
 import repose
 from mpm.load import preset_names, to_toml
 
 COARSE = {"grid": {"cell": 0.25}, "explicit": {"damping": 0.4, "until": 0.4}, "output": {"every": 0.1}}
-
-
-needs_mpi = pytest.mark.skipif(
-    importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None,
-    reason="no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)",
-)
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +70,26 @@ def test_a_cell_can_be_run_again_and_another_scene_is_not_overwritten(tmp_path, 
     assert repose.run(other, tmp_path / "run", force=True, progress=False).summary["sim_time"] == pytest.approx(0.02)
 
 
-@needs_mpi
+def test_another_mesh_under_the_same_name_is_another_scene(tmp_path):
+    def block(height):
+        x = [f"v {i} {j} {k * height}" for k in (0, 1) for j in (0, 1) for i in (0, 1)]
+        return "\n".join([*x, "f 1 3 4 2", "f 5 6 8 7", "f 1 2 6 5", "f 2 4 8 6", "f 4 3 7 8", "f 3 1 5 7"])
+
+    mesh, scene = tmp_path / "body.obj", tmp_path / "scene.toml"
+    scene.write_text(
+        'name = "m"\n[geometry]\nshape = "mesh"\nfile = "body.obj"\n[grid]\ncell = 0.25\n[explicit]\nuntil = 0.01\n'
+        "[material]\nyoung = 1e6\npoisson = 0.3\ndensity = 2000.0\nfriction_angle = 30.0\n"
+    )
+    mesh.write_text(block(1.0))
+    assert repose.run(scene, tmp_path / "run", progress=False).summary["points"] == 512
+    assert repose.run(scene, tmp_path / "run", progress=False).summary["points"] == 512
+    mesh.write_text(block(0.5))
+    with pytest.raises(repose.SceneError, match="not empty"):
+        repose.run(scene, tmp_path / "run", progress=False)
+    assert repose.run(scene, tmp_path / "run", force=True, progress=False).summary["points"] == 256
+
+
+@needs_ranks
 def test_ranks_compute_the_same_run(result):
     many = repose.run(result.scene, ranks=2, progress=False)
     assert many.summary["ranks"] == 2 and result.summary["ranks"] == 1
@@ -86,7 +98,7 @@ def test_ranks_compute_the_same_run(result):
     assert {path.name for path in many.directory.iterdir()} == {path.name for path in result.directory.iterdir()}
 
 
-@needs_mpi
+@needs_ranks
 def test_what_ends_a_run_on_ranks_badly_is_raised_here(tmp_path):
     tiny = repose.load_scene("column_small", grid={"cell": 0.25}, explicit={"until": 0.01})
     (tmp_path / "taken").mkdir()
@@ -98,7 +110,7 @@ def test_what_ends_a_run_on_ranks_badly_is_raised_here(tmp_path):
         repose.run(doomed, ranks=2, progress=False)
 
 
-@needs_mpi
+@needs_ranks
 def test_ctrl_c_saves_a_run_on_ranks(tmp_path):
     long = repose.load_scene("column_small", explicit={"until": 60.0}, output={"every": 0.05, "vtk": False})
 
@@ -151,20 +163,55 @@ def test_a_solver_refuses_what_a_run_would():
         repose.Solver(repose.load_scene("column_small", explicit={"time_step": 1.0}))
 
 
+@pytest.mark.parametrize("call", [repose.run, repose.Solver])
+def test_a_solver_that_is_not_there_is_refused(call):
+    with pytest.raises(repose.SceneError, match=r"^mode = 'Implicit': must be 'explicit' or 'implicit'$"):
+        call("column_small", mode="Implicit")
+
+
+@needs_implicit
+def test_the_implicit_solver_refuses_a_gpu():
+    for call in (repose.run, repose.Solver):
+        with pytest.raises(repose.SceneError, match=r"^--device cuda:0: the implicit solver runs on the CPU$"):
+            call("column_small", mode="implicit", device="cuda:0")
+
+
+@needs_implicit
 def test_the_implicit_solver_steps_in_pseudo_time():
-    pytest.importorskip("petsc4py", reason="petsc4py is not installed (see ./repose info)")
     solver = repose.Solver(repose.load_scene("column_small", grid={"cell": 0.25}), mode="implicit")
     solver.advance_to(0.1)
     assert solver.time >= 0.1
     assert solver.arrays["theta"].shape == (len(solver.x),)
 
 
+@needs_implicit
 def test_a_comparison_has_its_page_and_its_runs():
-    pytest.importorskip("petsc4py", reason="petsc4py is not installed (see ./repose info)")
     found = repose.compare(repose.load_scene("column_small", grid={"cell": 0.25}))
     assert "<html" in found.page.read_text(encoding="utf-8")
     assert {"implicit", "explicit, D = 0.4"} <= found.runs.keys()
     assert found.verdict in repr(found)
+
+
+@needs_implicit
+def test_a_comparison_leaves_a_users_own_files_as_they_are(tmp_path, monkeypatch):
+    """A scene file in the folder that the comparison is kept in, and then another study's report there."""
+    monkeypatch.chdir(tmp_path)
+    short = {"explicit": {"max_time": 0.05}, "implicit": {"max_steps": 1}, "output": {"vtk": False}}
+    scene = repose.load_scene("column_small", grid={"cell": 0.25}, **short)
+    file = tmp_path / "scene.toml"
+    file.write_text("# mine\n" + to_toml(scene))
+    mine = file.read_text()
+    assert repose.compare("scene.toml", ".").report["provenance"]["report made by"] == "repose.compare('scene.toml')"
+    assert file.read_text() == mine
+    assert repose.compare(scene, ".").report["failed"] == []
+    assert file.read_text() == mine
+    (kept,) = (tmp_path / "runs").glob("scene-*.toml")
+    assert repose.load_scene(kept) == scene
+    written = sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*"))
+    another = repose.load_scene(file, material={"friction_angle": 30.0})
+    with pytest.raises(repose.SceneError, match="a report about something else"):
+        repose.compare(another, ".")
+    assert sorted(path.stat().st_mtime_ns for path in tmp_path.rglob("*")) == written
 
 
 @pytest.mark.parametrize("module", ["repose", "compare.cli.main"])

@@ -9,9 +9,9 @@ with most points.
 import math
 from typing import NamedTuple
 
+from explicit.kernels.sparse_grid import MARGIN
 from mpm.gimp import NODES_PER_AXIS
 
-MARGIN = 1  # cells around what stencils reach that are stored (see `explicit.sparse_grid`)
 SHARED_PLANES = NODES_PER_AXIS - 1 + 2 * MARGIN  # of nodes that two adjoining domains store both
 POINTS_PER_CELL = 8
 # Numbers that a step sends of each shared node: (m, m v) and (f, m theta) after the first scatter, (m, m v) again after

@@ -48,10 +48,13 @@ def bench_ranks(
     bodies = [(ASPECT, size) for size in sorted(cells)] or list(COLUMNS)
     about_what = {"bench": f"{mode} on ranks", "precision": precision, "ranks": counts}
     about_what |= {"columns": [f"lambda0 = {aspect:g}, {size:g} cells" for aspect, size in bodies]}
+    for body in bodies:
+        column(*body, precision)
+    weak = [wider(bodies[0][1], count) for count in counts[1:]]
+    for body in weak:
+        column(*body, precision)
     jobs = [("strong", *body, count) for body in bodies for count in counts]
-    jobs += [("weak", *wider(bodies[0][1], count), count) for count in counts[1:]]
-    for _, aspect, size, _ in jobs:
-        column(aspect, size, precision)
+    jobs += [("weak", *body, count) for body, count in zip(weak, counts[1:], strict=True)]
     refuse_another(directory, about_what, force)
     directory.mkdir(parents=True, exist_ok=True)
     best, link = _measured(jobs, precision)

@@ -9,6 +9,8 @@ import time
 from pathlib import Path
 from statistics import median
 
+from mpm.errors import SceneError
+
 BATCHES = 25  # timed ones; their median counts
 # Steps of a batch. On a CPU so many point-steps, but neither very few nor very many: a tenth of a second or a few.
 POINT_STEPS_CPU, LEAST_STEPS_CPU, MOST_STEPS_CPU, STEPS_CUDA = 400_000, 4, 200, 200
@@ -20,10 +22,12 @@ COPIED = {"cpu": 1 << 26, "cuda": 1 << 29}  # bytes: more than the caches hold
 
 
 def column(aspect: float, cells: float, precision: str):
-    """The body of a quarter column, r0 = 1 m, of `cells` cells per r0."""
+    """The body of a quarter column, r0 = 1 m, of `cells` cells per r0. Raises SceneError where these do not fit it."""
     from mpm.body import build
     from mpm.load import load_scene
 
+    if not 0 < cells < float("inf"):
+        raise SceneError(f"--cells {cells:g}: must be a number of cells per r0 > 0 [-]")
     settings = [f"geometry.aspect_ratio={aspect!r}", f"explicit.precision={precision}", "explicit.damping=0.05"]
     return build(load_scene("column_0.5", [*settings, f"grid.cell={1.0 / cells!r}"]))
 

@@ -40,6 +40,7 @@ class Precision(StrEnum):
 
 
 DEMO = ("column_sand", [])  # scene and settings
+DEMO_FOLDER = Path("runs/demo")
 SIDE_BY_SIDE = 8  # runs of a study that times none, where the cores hold them; more would crowd a GPU
 
 study = typer.Typer(help="Many runs and a report of them; what is finished is kept.", no_args_is_help=True)
@@ -165,7 +166,7 @@ def compare(
 
     name = _announced(scene, set_).name
     directory = directory or Path("runs") / f"{name}-compare"
-    _report(directory, force, compare_solvers, scene, set_, device, _workers(1, ranks).ranks)
+    _report(directory, force, compare_solvers, scene, set_, device, _workers(1, ranks, device).ranks)
 
 
 @study.command("error", cls=SpacedNumbers)
@@ -194,7 +195,7 @@ def study_error(
     name = _announced(scene, set_).name
     directory = directory or Path("runs") / f"{name}-error"
     made = REALISATIONS if realisations is None else realisations
-    _report(directory, force, study_error, scene, set_, cells, finer, made, device, _workers(jobs, ranks))
+    _report(directory, force, study_error, scene, set_, cells, finer, made, device, _workers(jobs, ranks, device))
 
 
 @study.command("paper", cls=SpacedNumbers)
@@ -216,7 +217,7 @@ def study_paper(
     directory = directory or Path("runs") / f"paper{'-quick' if quick else ''}"
     if realisations is None:
         realisations = QUICK_REALISATIONS if quick else REALISATIONS
-    workers = _workers(jobs, ranks, SIDE_BY_SIDE)
+    workers = _workers(jobs, ranks, device, SIDE_BY_SIDE)
     _report(directory, force, study_paper, lambda0, damping, realisations, quick, device, workers)
 
 
@@ -239,7 +240,7 @@ def study_damping(
     name = _announced(scene, set_).name
     directory = directory or Path("runs") / f"{name}-damping-{target}"
     made = REALISATIONS if realisations is None else realisations
-    workers = _workers(jobs, ranks, SIDE_BY_SIDE)
+    workers = _workers(jobs, ranks, device, SIDE_BY_SIDE)
     _report(directory, force, study_damping, scene, set_, target, made, device, workers)
 
 
@@ -317,11 +318,14 @@ def info():
 
 
 @app.command()
-def demo(directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = Path("runs/demo")):
-    """A quarter column of sand by both solvers, beside theory, as a page to open; replaces the last demo."""
+def demo(
+    directory: Annotated[Path, typer.Option("--out", metavar="DIR")] = DEMO_FOLDER,
+    force: AgainOption = False,
+):
+    """A quarter column of sand by both solvers, beside theory, as a page to open; without --out anew each time."""
     from compare.comparison import compare_solvers
 
-    report = _reported(directory, True, compare_solvers, *DEMO, "cpu")
+    report = _reported(directory, force or directory == DEMO_FOLDER, compare_solvers, *DEMO, "cpu")
     if not report["failed"]:
         implicit, explicit = list(report["runs"].values())[:2]
         run_outs = f"explicit {explicit['R_995']:.4f}, implicit {implicit['R_995']:.4f}"
@@ -339,12 +343,12 @@ def _announced(reference: str, settings: list[str]):
     return scene
 
 
-def _workers(jobs: int | None, ranks: str, usual: int = 1):
+def _workers(jobs: int | None, ranks: str, device: str = "cpu", usual: int = 1):
     """How many runs of a study go at a time, and on how many ranks each (see `runs_at_a_time`)."""
     from compare.batch import Workers
     from compare.launch import count_of
 
-    count = count_of(ranks)
+    count = count_of(ranks, device)
     return Workers(runs_at_a_time(jobs, count, usual), count)
 
 

@@ -63,14 +63,15 @@ def idle_cores(run) -> str:
 
 
 class Monitor:
-    """Follows a run: `start` prints the banner, where it is wanted, and what `announce` says, `row` moves the bar (or
-    prints a line), `stop` clears it."""
+    """Follows a run (see `mpm.run.Run.go`): a bar on a terminal, else a line now and then."""
 
     def __init__(self, banner=True):
+        """`banner`: whether to begin with a line of what is about to run."""
         self.banner, self.progress = banner, None
         self.last_line = 0.0
 
     def start(self, run):
+        """Say what is about to run, and what is to know of its body."""
         if self.banner:
             out.print(banner(run))
             if said := idle_cores(run):
@@ -90,6 +91,7 @@ class Monitor:
         self.progress.start()
 
     def row(self, run, row):
+        """Show how far the run is, with the history `row` that it has just written."""
         done, whole = run.progress
         unbalanced = f", unbalanced {row['unbalanced']:.1e}" if run.mode == "implicit" else ""
         if self.progress:  # in short, so that the bar has room on 80 columns
@@ -103,17 +105,20 @@ class Monitor:
             out.print(f"{so_far}, {front}{unbalanced}")
 
     def stop(self, _run):
+        """Clear the bar."""
         if self.progress:
             self.progress.stop()
 
 
 class BatchMonitor:
-    """Follows the runs of a study: a line as each ends, and what the running ones say meanwhile."""
+    """Follows the runs of a study (see `compare.batch.run_all`): a line as each ends, and what the running ones say
+    meanwhile."""
 
     def __init__(self):
         self.progress, self.tasks, self.last_line = None, {}, time.monotonic()
 
     def start(self, jobs):
+        """Begin to count the `jobs`."""
         self.left = self.whole = len(jobs)
         if out.is_terminal:
             self.progress = Progress(TextColumn("{task.description}"), BarColumn(), console=out, transient=True)
@@ -121,7 +126,7 @@ class BatchMonitor:
             self.progress.start()
 
     def look(self, job, log):
-        """`log`: what the run of `job` has printed so far; its last line says where it is."""
+        """Show the last line of `log`, to which the run of `job` prints: it says where the run is."""
         if not self.progress and time.monotonic() - self.last_line < BATCH_PLAIN_EVERY:
             return
         lines = log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
@@ -135,6 +140,7 @@ class BatchMonitor:
         self.progress.update(self.tasks[job.name], description=said[: out.width - 20])
 
     def ended(self, outcome):
+        """Say how a run has ended."""
         self.left -= 1
         if outcome.done:
             how = f"{outcome.summary['wall_s']:.1f} s, R_995 {outcome.summary['R_995']:.4f}"
@@ -148,6 +154,7 @@ class BatchMonitor:
         out.print(f"[{self.whole - self.left}/{self.whole}] {outcome.job.name}: {how}")
 
     def stop(self):
+        """Clear the bars."""
         if self.progress:
             self.progress.stop()
 

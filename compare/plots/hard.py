@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 
-from compare.metrics import half_length
 from compare.plots.reports import WIDTH
 from compare.plots.style import BLACK, GREEN, ORANGE, RED, draw_section, new_figure, save, styled
 from mpm.run import Run
@@ -62,5 +61,5 @@ def _draw_end(axes, what, run):
     scene, x, x0 = run.body.scene, run.x, run.body.x
     moved = np.linalg.norm(x - x0, axis=1)
     colours = {"cmap": "viridis", "vmin": 0.0, "vmax": moved.max() or 1.0, "linewidths": 0}
-    draw_section(axes, x, x0, moved, scene.grid.cell, half_length(scene), colours, run.body.measure.axis)
+    draw_section(axes, x, x0, moved, scene.grid.cell, scene.grid.half_length, colours, run.body.measure.axis)
     axes.set_title(textwrap.shorten(what, 60), loc="left")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
-from compare.metrics import axis_of, half_length, profile
+from compare.metrics import axis_of, profile
 from compare.plots.style import (
     BLACK,
     BLUE,
@@ -59,7 +59,7 @@ def draw_plan_and_section(outcome, title, path, most) -> Path:
     """The deposit from above and cut through its top; colour: plastic strain up to `most` (None: its 98 % quantile)."""
     results = outcome.results
     last, x0, scene = last_snapshot(results), results.read_static("x0"), results.scene
-    x, cell, half = last["x"], scene.grid.cell, half_length(scene)
+    x, cell, half = last["x"], scene.grid.cell, scene.grid.half_length
     values, label = colour_values(x, x0, last)
     colours = {"cmap": "viridis", "vmin": 0.0, "vmax": most or np.quantile(values, 0.98) or 1.0, "linewidths": 0}
     wide, deep, high = np.ptp(np.concatenate([x, x0]), axis=0)

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
-from compare.metrics import axis_of, half_length, highest
+from compare.metrics import axis_of, highest
 from compare.plots.style import (
     BLACK,
     BLUE,
@@ -66,7 +66,7 @@ def plot_morphology(results: Results) -> Figure:
     last = last_snapshot(results)
     x, x0 = last["x"], results.read_static("x0")
     values, label = colour_values(x, x0, last)
-    cell, half = results.scene.grid.cell, half_length(results.scene)
+    cell, half = results.scene.grid.cell, results.scene.grid.half_length
     colours = {"cmap": "viridis", "vmin": 0.0, "vmax": np.quantile(values, 0.98) or 1.0, "linewidths": 0}
     with styled():
         figure = new_figure(11.0, 4.6)

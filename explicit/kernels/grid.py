@@ -85,7 +85,9 @@ def grid_kernels(real):
     def balance(setup: Setup, mask: vec3, m: real, momentum: vec3, force: vec3, dt: real, gravity: real):
         """Momentum balance of a node: velocity after the step, its increment and the force of local damping.
 
-        `mask` has 1 on free components, `force` no weight: of the points' weights a node bears m g.
+        On each free component k, m dv_k/dt = f_k - D |f| sgn(v_k), |f| that of the free components: local damping
+        (Cundall 1987), with the magnitude of the whole force as in Wyser et al. 2023. `mask` has 1 on free components,
+        `force` no weight: of the points' weights a node bears m g.
         """
         v = wp.cw_mul(mask, momentum / m)
         f = wp.cw_mul(mask, force - vec3(zero, zero, m * gravity))

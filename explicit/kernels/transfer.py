@@ -148,7 +148,8 @@ def transfer_kernels(real):
         speed: wp.array(dtype=real),
         fault: wp.array(dtype=wp.int32),
     ):
-        """FLIP velocity of the point, the velocity that will carry it, and the second mapping (MUSL)."""
+        """FLIP velocity of the point, the velocity that will carry it, and the second mapping (MUSL, Sulsky et al.
+        1995)."""
         dt = real(clock[DT])
         if dt == zero:
             return

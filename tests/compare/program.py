@@ -1,6 +1,5 @@
 """`repose` called in this process or in one of its own, for the tests of the command line."""
 
-import importlib.util
 import subprocess
 import sys
 from typing import NamedTuple
@@ -12,10 +11,6 @@ from mpm.caches import COMPILING
 
 COARSE = ("column_small", "--set", "grid.cell=0.25")
 TINY = (*COARSE, "--set", "explicit.until=0.05", "--set", "output.every=0.02")
-needs_dolfinx = pytest.mark.skipif(
-    None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
-    reason="dolfinx or petsc4py is not installed (see ./repose info)",
-)
 PROGRAM = (sys.executable, "-c", "from compare.cli.main import main; main()")
 
 

@@ -1,8 +1,6 @@
 """Runs of a study: kept and reused, gone on with where they stopped, failures reported without losing the others."""
 
-import importlib.util
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -10,16 +8,14 @@ import time
 from dataclasses import replace
 
 import pytest
+from installed import needs_ranks
 
 from compare import batch
 from compare.batch import Job, Workers, run_all
+from mpm import provenance
 from mpm.errors import SceneError
 from mpm.results import Results
 
-needs_mpi = pytest.mark.skipif(
-    importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None,
-    reason="no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)",
-)
 FAST = ("grid.cell=0.25", "explicit.until=0.05", "output.vtk=false")
 
 
@@ -59,7 +55,7 @@ def test_a_run_is_kept_and_another_setting_never_meets_it(tmp_path):
 
 def test_the_solvers_code_and_the_device_are_part_of_what_a_run_is(monkeypatch):
     key = job().key
-    monkeypatch.setattr(batch, "code_version", lambda mode: "other")
+    monkeypatch.setattr(provenance, "code_version", lambda mode: "other")
     assert job().key != key
     monkeypatch.undo()
     monkeypatch.setattr(batch, "device_name", lambda device: "other")
@@ -108,15 +104,14 @@ def test_a_process_that_dies_is_a_failed_run_and_is_tried_again(tmp_path, monkey
 
 
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM], ids=["ctrl-c", "kill"])
-def test_an_interrupt_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(tmp_path, by):
+def test_an_interrupt_saves_every_run_and_the_same_call_goes_on_to_the_same_bits(found_by_processes, tmp_path, by):
     """A study is interrupted as its run has passed a checkpoint; its end is that of a run that was not."""
     # Two calls at once in one folder would write over each other.
     settings = ("grid.cell=0.25", "explicit.until=6.0", "output.every=0.5", "output.vtk=false")
     code = (
-        "import sys; from pathlib import Path; sys.path.insert(0, 'TESTS');"
-        "from test_batch import Quiet; from compare.batch import Job, Workers, run_all;"
+        "from pathlib import Path; from test_batch import Quiet; from compare.batch import Job, Workers, run_all;"
         f"run_all([Job('a', 'column_small', {settings!r}, 'explicit')], Path('runs'), Workers(), False, Quiet())"
-    ).replace("TESTS", os.path.dirname(__file__))
+    )
     study = subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + 60
     while not (found := list(tmp_path.glob("runs/*/checkpoint.h5"))) and time.monotonic() < deadline:
@@ -185,7 +180,7 @@ def test_the_command_makes_the_same_run():
     )
 
 
-@needs_mpi
+@needs_ranks
 def test_a_run_on_ranks_is_a_run_of_its_own_with_the_same_result(tmp_path):
     (alone,) = run_all([job()], tmp_path, Workers(), False, Quiet())
     (many,) = run_all([job()], tmp_path, Workers(ranks=2), False, Quiet())
@@ -223,7 +218,7 @@ def test_a_run_on_one_gpu_has_one_rank_in_a_batch_of_ranks(monkeypatch, tmp_path
     assert len(started) == 3
 
 
-@needs_mpi
+@needs_ranks
 def test_a_run_whose_rank_is_killed_is_a_failed_run(tmp_path, ranks_below):
     """Its log ends with what the launcher has to say; what the run said last is more use."""
     long = Job("a", "column_small", ("explicit.until=60.0", "output.every=0.05", "output.vtk=false"), "explicit")
@@ -241,7 +236,7 @@ def test_a_run_whose_rank_is_killed_is_a_failed_run(tmp_path, ranks_below):
     assert "mpiexec" not in dead.reason and "signal 9" not in dead.reason
 
 
-@needs_mpi
+@needs_ranks
 def test_ctrl_c_saves_a_run_on_ranks_and_the_same_call_goes_on(tmp_path):
     settings = ("grid.cell=0.25", "explicit.until=6.0", "output.every=0.5", "output.vtk=false")
     one = Job("a", "column_small", settings, "explicit")

@@ -1,20 +1,16 @@
 """`repose bench`: figures that do not depend on the machine, and what it refuses. Times are not asserted."""
 
 import csv
-import importlib.util
 import json
-import shutil
 
 import pytest
+from installed import needs_implicit, needs_ranks
 from typer.testing import CliRunner
 
 from compare.bench import scaling
 from compare.bench.ladder import FLOOR_BYTES
 from compare.cli.main import app
 from mpm.errors import SceneError
-
-HAS_MPI = importlib.util.find_spec("mpi4py") is not None and shutil.which("mpiexec") is not None
-HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
 
 
 def bench(folder, *arguments):
@@ -63,7 +59,7 @@ def test_explicit_table_page_and_phases_are_of_the_same_runs(tmp_path):
     assert (tmp_path / "report.html").is_file()
 
 
-@pytest.mark.skipif(not HAS_IMPLICIT, reason="dolfinx or petsc4py is not installed (see ./repose info)")
+@needs_implicit
 def test_implicit_phases_add_up_to_the_time_taken(tmp_path):
     report, (row,) = bench(tmp_path, "implicit", "--cells", "4")
     assert (int(row["points"]), int(row["unknowns"]) % 3) == (208, 0)
@@ -72,7 +68,7 @@ def test_implicit_phases_add_up_to_the_time_taken(tmp_path):
     assert all(seconds > 0 for seconds in phases.values())
 
 
-@pytest.mark.skipif(not HAS_MPI, reason="no mpi4py, or no mpiexec in PATH (see ./repose info)")
+@needs_ranks
 def test_speed_over_ranks_has_its_table_picture_and_predictions(tmp_path, monkeypatch):
     monkeypatch.setattr(scaling, "ROUNDS", 1)
     report, rows = bench(tmp_path, "explicit", "--ranks", "2", "--cells", "4")
@@ -104,6 +100,11 @@ def test_speed_over_ranks_has_its_table_picture_and_predictions(tmp_path, monkey
         (("explicit", "--device", "cuda:7"), "cuda:7"),
         (("explicit", "--cells", "4.3"), "grid.cell"),
         (("explicit", "--cells", "4.3", "--ranks", "2"), "grid.cell"),
+        (("explicit", "--cells", "0"), r"^--cells 0: must be a number of cells per r0 > 0 \[-\]$"),
+        (("implicit", "--cells", "-4"), "^--cells -4: must be"),
+        (("explicit", "--cells", "0", "--ranks", "2"), "^--cells 0: must be"),
+        (("explicit", "--cells", "0.3", "--ranks", "2"), "grid.cell"),
+        (("explicit", "--cells", "nan", "--ranks", "2"), "^--cells nan: must be"),
         (("explicit", "--ranks", "0"), "must be a number of MPI ranks"),
         (("explicit", "--ranks", "2", "--device", "cuda:0"), "on CPU cores"),
     ],

@@ -5,11 +5,11 @@ import re
 import signal
 from xml.etree import ElementTree
 
-import h5py
 import meshio
 import numpy as np
 import pytest
-from program import COARSE, TINY, but_compiling, needs_dolfinx, start
+from installed import needs_implicit
+from program import COARSE, TINY, but_compiling, start
 
 from compare.cli import main as cli
 from mpm.fields import UNITS
@@ -131,7 +131,7 @@ def test_export_writes_chosen_fields_again_as_vtu_or_csv(repose, refused, tmp_pa
 # Implicit mode
 
 
-@needs_dolfinx
+@needs_implicit
 def test_implicit_mode_stops_resumes_and_is_drawn_as_the_explicit_one(repose, tmp_path):
     class Impatient(cli.Monitor):
         def row(self, run, row):
@@ -163,14 +163,14 @@ def test_implicit_mode_stops_resumes_and_is_drawn_as_the_explicit_one(repose, tm
     assert repose("plot", where).out.split() == [f"{where}/{name}.png" for name in ("morphology", "profile", "history")]
 
 
-@needs_dolfinx
+@needs_implicit
 def test_implicit_mode_refuses_a_gpu(refused, tmp_path):
     message = refused("run", *COARSE, "--mode", "implicit", "--device", "cuda:0")
     assert message == "error: --device cuda:0: the implicit solver runs on the CPU\n"
     assert list(tmp_path.iterdir()) == []
 
 
-@needs_dolfinx
+@needs_implicit
 def test_demo_ends_with_the_page_to_open_that_compare_makes(repose, tmp_path, monkeypatch):
     monkeypatch.setattr(
         cli, "DEMO", ("column_small", ["grid.cell=0.25", "explicit.max_time=0.2", "implicit.max_steps=3"])
@@ -188,6 +188,16 @@ def test_demo_ends_with_the_page_to_open_that_compare_makes(repose, tmp_path, mo
     assert html.count("data:image/png;base64,") == 5
     assert len(list(tmp_path.glob("runs/demo/runs/*/vtk/run.pvd"))) == 4
     assert repose("demo").code == 0  # replaces the last one
+
+
+def test_demo_replaces_another_report_in_a_named_folder_only_with_force(refused, tmp_path):
+    (tmp_path / "mine").mkdir()
+    report = tmp_path / "mine" / "report.json"
+    report.write_text('{"about": {"study": "error"}}')
+    message = refused("demo", "--out", "mine")
+    assert "mine/report.json is a report about something else" in message and "--force" in message
+    assert report.read_text() == '{"about": {"study": "error"}}'
+    assert list((tmp_path / "mine").iterdir()) == [report]
 
 
 def snapshots_for_paraview(folder) -> list[float]:
@@ -257,8 +267,6 @@ def test_ctrl_c_leaves_a_checkpoint_from_which_resume_finishes(tmp_path):
     assert np.all(np.diff(times) > 0)
     np.testing.assert_allclose(run.times, [0.0, 5.0, 10.0, 15.0, 20.0])
     assert run.summary()["sim_time"] == pytest.approx(until)
-    with h5py.File(tmp_path / "mine" / "results.h5") as file:
-        assert bool(file.attrs["finished"])
 
 
 def test_ctrl_c_in_the_middle_says_where_it_stopped(repose, tmp_path):

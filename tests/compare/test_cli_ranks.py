@@ -5,6 +5,8 @@ from types import SimpleNamespace
 import pytest
 from typer.testing import CliRunner
 
+import repose
+from compare import launch
 from compare.batch import Workers
 from compare.cli import main, ranks, terminal
 from mpm.errors import SceneError
@@ -14,6 +16,28 @@ from mpm.errors import SceneError
 def four_cores(monkeypatch):
     for module in (ranks, terminal):
         monkeypatch.setattr(module, "cores", lambda: 4)
+
+
+class Reached(Exception):
+    pass
+
+
+def stand_in(*its):
+    """Stands for what computes a report: says how many ranks it was to take."""
+    raise Reached(its[-1])
+
+
+@pytest.fixture
+def reached(monkeypatch):
+    """`reached(study, *arguments)`: what the program hands to the function `study` last."""
+
+    def call(study, *arguments):
+        monkeypatch.setattr(study, stand_in)
+        answer = CliRunner().invoke(main.app, [*arguments])
+        assert isinstance(answer.exception, Reached), answer.output
+        return answer.exception.args[0]
+
+    return call
 
 
 @pytest.mark.parametrize(
@@ -50,16 +74,35 @@ def test_a_study_on_ranks_is_refused(monkeypatch):
         (("study", "paper"), "compare.studies.paper.study.study_paper", Workers(2, 2)),
     ],
 )
-def test_studies_and_comparisons_hand_ranks_on(four_cores, monkeypatch, tmp_path, arguments, module, passed):
-    class Reached(Exception):
-        pass
+def test_studies_and_comparisons_hand_ranks_on(reached, four_cores, tmp_path, arguments, module, passed):
+    assert reached(module, *arguments, "--ranks", "2", "--out", str(tmp_path / "out")) == passed
 
-    def stand_in(*its):
-        raise Reached(its[-1])
 
-    monkeypatch.setattr(module, stand_in)
-    answer = CliRunner().invoke(main.app, [*arguments, "--ranks", "2", "--out", str(tmp_path / "out")])
-    assert isinstance(answer.exception, Reached) and answer.exception.args == (passed,)
+@pytest.mark.parametrize(
+    ("arguments", "module"),
+    [
+        (("compare", "column_small"), "compare.comparison.compare_solvers"),
+        (("study", "error", "column_small"), "compare.studies.error.study_error"),
+        (("study", "paper"), "compare.studies.paper.study.study_paper"),
+        (("study", "damping", "column_small", "--target", "eq4"), "compare.studies.damping.study_damping"),
+    ],
+)
+def test_all_ranks_of_a_study_on_gpus_are_as_many_as_there_are_gpus(
+    reached, four_cores, monkeypatch, tmp_path, arguments, module
+):
+    monkeypatch.setattr(launch, "cores", lambda: 4)
+    monkeypatch.setattr(launch, "_gpu_count", lambda: 3)
+    for device, count in (("cuda", 3), ("cpu", 4)):
+        passed = reached(module, *arguments, "--ranks", "all", "--device", device, "--out", str(tmp_path / "out"))
+        assert getattr(passed, "ranks", passed) == count
+
+
+def test_all_ranks_of_a_comparison_in_python_are_as_many_as_there_are_gpus(monkeypatch, tmp_path):
+    monkeypatch.setattr("compare.comparison.compare_solvers", stand_in)
+    monkeypatch.setattr(launch, "cores", lambda: 4)
+    monkeypatch.setattr(launch, "_gpu_count", lambda: 3)
+    with pytest.raises(Reached, match="3"):
+        repose.compare("column_small", tmp_path / "out", device="cuda", ranks="all")
 
 
 def test_a_large_run_on_one_core_is_told_of_the_others(four_cores, monkeypatch):

@@ -8,7 +8,8 @@ from importlib import metadata
 
 import numpy as np
 import pytest
-from program import COARSE, HIDE_DOLFINX, TINY, needs_dolfinx
+from installed import needs_implicit
+from program import COARSE, HIDE_DOLFINX, TINY
 
 from explicit.run import HISTORY_ROWS, MAX_TIME
 from mpm.load import load_scene, preset_names
@@ -64,7 +65,7 @@ def test_info_lists_versions_and_devices(repose):
     assert re.search(r"commit ([0-9a-f]{40}|unknown)", answer.out)
 
 
-@needs_dolfinx
+@needs_implicit
 def test_info_lists_what_the_implicit_solver_runs_on(repose):
     from implicit._dolfinx import libraries
 
@@ -109,7 +110,7 @@ def test_validate_refuses_what_run_refuses_at_its_first_step_in_the_same_words(r
     assert list(tmp_path.iterdir()) == []
 
 
-@needs_dolfinx
+@needs_implicit
 def test_validate_speaks_for_the_solver_that_is_asked_for_and_tells_of_the_other(repose):
     answer = repose("validate", *COARSE, "--set", "explicit.time_step=1.0", "--mode", "implicit")
     assert (answer.code, answer.err) == (0, "")

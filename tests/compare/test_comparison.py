@@ -2,10 +2,8 @@
 
 import csv
 import html
-import importlib.util
 import json
 import re
-import shutil
 import signal
 import subprocess
 import sys
@@ -15,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import measure
+from installed import needs_implicit, needs_ranks
 
 from compare.batch import Outcome
 from compare.checks import quasistatic_checks
@@ -31,13 +30,7 @@ from mpm.load import load_scene
 from mpm.results import Results
 from mpm.theory import quasistatic_profile
 
-pytestmark = pytest.mark.skipif(
-    None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
-    reason="dolfinx or petsc4py is not installed (see ./repose info)",
-)
-needs_mpiexec = pytest.mark.skipif(
-    shutil.which("mpiexec") is None, reason="no mpiexec in PATH: it comes with dolfinx (see ./repose info)"
-)
+pytestmark = needs_implicit
 LONGEST = 120  # seconds: nothing hangs
 SHORT = ("--set", "grid.cell=0.25", "--set", "explicit.max_time=0.2", "--set", "implicit.max_steps=3")
 
@@ -282,7 +275,7 @@ def test_a_grid_that_does_not_fit_twice_the_cell_is_compared_alone():
     assert [one.name for one in plan("column_small", ["grid.cell=0.2"], "cpu")] == ["implicit", "explicit"]
 
 
-@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=needs_mpiexec)])
+@pytest.mark.parametrize("ranks", [1, pytest.param(2, marks=needs_ranks)])
 def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path, monkeypatch, ranks):
     """Cases of a solver's runs on ranks, where these are asked for, the others on one."""
     from compare.hard.case import Case
@@ -310,7 +303,7 @@ def test_study_stability_runs_each_case_in_a_process_and_says_what_held(tmp_path
     assert len(rows_of(folder)) == 7
 
 
-@needs_mpiexec
+@needs_ranks
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_study_of_stability_that_is_stopped_leaves_nothing_running(tmp_path, ranks_below, number):
     """Ctrl-C and `kill`, while two ranks compute a case of minutes."""

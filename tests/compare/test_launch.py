@@ -1,21 +1,15 @@
 """Programs on several MPI ranks: how many, by what launcher, what they give back and how they end."""
 
-import importlib.util
 import os
-import shutil
 import signal
 import threading
 
 import pytest
+from installed import needs_ranks
 
 from compare import launch
 from compare.launch import call, cores, count_of, refuse_nested, refuse_ranks, sorted_lines
 from mpm.errors import NumericalError, SceneError
-
-needs_mpi = pytest.mark.skipif(
-    importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None,
-    reason="no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)",
-)
 
 
 # What ranks are asked to do here; `compare.launch` finds them by name.
@@ -41,11 +35,6 @@ def die():
 def wait():
     print("waiting", flush=True)
     signal.pause()
-
-
-@pytest.fixture
-def found_by_ranks(monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
 
 
 def test_a_core_is_counted_once_whatever_threads_it_has(monkeypatch, tmp_path):
@@ -108,14 +97,14 @@ def test_lines_of_the_launcher_are_told_from_those_of_ranks():
     assert list(sorted_lines(said)) == told
 
 
-@needs_mpi
-def test_a_call_gives_what_the_first_rank_returns_and_shows_what_it_prints(found_by_ranks, capfd):
+@needs_ranks
+def test_a_call_gives_what_the_first_rank_returns_and_shows_what_it_prints(found_by_processes, capfd):
     assert call(2, ranks_and_sum, 1, 2, 3.5) == (2, 6.5)
     assert "so many numbers: 3" in capfd.readouterr().out
 
 
-@needs_mpi
-def test_a_call_raises_what_the_first_rank_raises(found_by_ranks):
+@needs_ranks
+def test_a_call_raises_what_the_first_rank_raises(found_by_processes):
     with pytest.raises(SceneError) as refused:
         call(2, refuse)
     assert refused.value.problems == ["one problem", "another"]
@@ -123,14 +112,14 @@ def test_a_call_raises_what_the_first_rank_raises(found_by_ranks):
         call(2, diverge)
 
 
-@needs_mpi
-def test_a_call_whose_rank_is_killed_says_so(found_by_ranks):
+@needs_ranks
+def test_a_call_whose_rank_is_killed_says_so(found_by_processes):
     with pytest.raises(ChildProcessError, match=r"exit code 137: .*signal 9"):
         call(2, die)
 
 
-@needs_mpi
-def test_ctrl_c_reaches_the_ranks(found_by_ranks):
+@needs_ranks
+def test_ctrl_c_reaches_the_ranks(found_by_processes):
     before = signal.getsignal(signal.SIGINT)
     threading.Timer(5.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
     with pytest.raises(KeyboardInterrupt):

@@ -74,6 +74,7 @@ def on_rings(edges, thickness):
 def store(directory, its_scene, x, reference=1.0, axis=(0.0, 0.0), **fields):
     """A run whose one snapshot, in single precision as a run writes it, holds `x` and `fields`."""
     run = Results.create(directory, its_scene, {})
+    run.write_static("x0", x)
     run.write_static("extent", np.array([reference, 1.0, *axis]))
     run.write_snapshot(1.0, 10, {name: value.astype(np.float32) for name, value in {"x": x, **fields}.items()})
     return run

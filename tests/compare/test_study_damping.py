@@ -1,10 +1,10 @@
 """`repose study damping`: its target, and the study on tiny runs that go on where they were."""
 
-import importlib.util
 import json
 import math
 
 import pytest
+from installed import HAS_IMPLICIT
 from test_comparison import repose, rows_of, text_of
 
 from compare.batch import Job, Outcome
@@ -52,11 +52,10 @@ def test_a_target_beyond_every_damping_is_told_and_runs_are_kept(tmp_path, capsy
     explicit = [row for row in report["rows"] if row["damping"] is not None]
     assert [(row["damping"], row["R_995_n"]) for row in explicit] == [(0.0, 2)]
     assert explicit[0]["damped"] == explicit[0]["decayed"] == 0.0  # of gravity's work, without damping
-    with_dolfinx = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
-    assert len(rows_of(folder)) == 1 + with_dolfinx
+    assert len(rows_of(folder)) == 1 + HAS_IMPLICIT
     capsys.readouterr()
     assert repose(*asked) == 0
-    assert capsys.readouterr().out.count("kept from an earlier call") == 2 + 2 * with_dolfinx
+    assert capsys.readouterr().out.count("kept from an earlier call") == 2 + 2 * HAS_IMPLICIT
 
 
 def test_where_gravitys_work_goes(tmp_path):

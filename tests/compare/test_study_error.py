@@ -1,11 +1,11 @@
 """`repose study error`: limits, errors and times by hand, and the whole study on tiny runs."""
 
-import importlib.util
 import json
 import math
 
 import numpy as np
 import pytest
+from installed import needs_implicit
 from test_comparison import repose, rows_of
 
 from compare.ensembles import Estimate
@@ -13,11 +13,6 @@ from compare.studies.error import _checks, _errors, _limit, ladder
 from compare.studies.stiffness import crossover, like_with_like, softened_settings, stiffness_check
 from mpm.errors import SceneError
 from mpm.load import load_scene
-
-needs_dolfinx = pytest.mark.skipif(
-    None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
-    reason="dolfinx or petsc4py is not installed (see ./repose info)",
-)
 
 
 def rows(family, values, error=1e-4, **more):
@@ -173,7 +168,7 @@ def test_three_resolutions_are_needed_to_extrapolate(capsys, tmp_path):
         ladder("column_small", ["grid.scatter=0.1"], [4, 5, 8], [], "cpu")
 
 
-@needs_dolfinx
+@needs_implicit
 def test_the_study_has_a_point_for_every_resolution_precision_step_and_stiffness(tmp_path):
     folder = tmp_path / "out"
     settings = ("--set", "explicit.max_time=0.1", "--set", "implicit.max_steps=2", "--realisations", "2")

@@ -1,11 +1,11 @@
 """`repose study paper`: theory against experiments in closed form, claims, and the whole study on tiny runs."""
 
-import importlib.util
 import json
 import math
 
 import numpy as np
 import pytest
+from installed import needs_implicit
 from test_comparison import repose, rows_of, text_of
 
 from compare.ensembles import Estimate, Part
@@ -18,10 +18,6 @@ from mpm.load import load_scene
 from mpm.results import Results
 from mpm.theory import eq4, eq45
 
-needs_dolfinx = pytest.mark.skipif(
-    None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
-    reason="dolfinx or petsc4py is not installed (see ./repose info)",
-)
 LAMBDA0 = np.array([0.3, 0.8, 1.2, 1.7, 2.2, 3.0, 4.0])
 
 
@@ -146,7 +142,7 @@ def test_the_paper_s_twenty_runs_and_the_implicit_ones_are_planned():
     assert (full.geometry.aspect_ratio, full.explicit.damping, full.grid.cell) == (4.0, 0.4, 0.05)
 
 
-@needs_dolfinx
+@needs_implicit
 def test_the_study_judges_every_figure_and_goes_on_where_it_was(tmp_path, monkeypatch, capsys):
     """Four cells per r0: too coarse to agree with anything, and it says so."""
     monkeypatch.setattr(runs, "QUICK_CELLS", 4)

@@ -1,12 +1,9 @@
 """The CUDA path: same physics as the CPU, step graphs included. Skipped, with the reason, without a GPU."""
 
-import importlib.util
-import os
-import shutil
-
 import numpy as np
 import pytest
 import warp as wp
+from installed import needs_ranks
 
 from compare.launch import call
 from explicit.run import run
@@ -73,14 +70,10 @@ def on_ranks(settings):
     return solver.steps, solver.x.numpy(), solver.energies(), solver.grid_mass()
 
 
-@pytest.mark.skipif(
-    importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None,
-    reason="no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)",
-)
+@needs_ranks
 @pytest.mark.parametrize(("precision", "tolerance"), [("float64", 1e-9), ("float32", 2e-4)])
-def test_two_ranks_on_one_gpu_are_one_rank_on_it(solver_of, monkeypatch, precision, tolerance):
+def test_two_ranks_on_one_gpu_are_one_rank_on_it(solver_of, found_by_processes, precision, tolerance):
     """A user's ranks take a GPU each; what they pack, carry and add is the same where they share one."""
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
     settings = ("grid.cell=0.125", f"explicit.precision={precision}")
     alone = solver_of("column_1", *settings, device="cuda:0")
     alone.advance_to(0.15)

@@ -1,21 +1,21 @@
 """What goes wrong on one of several ranks ends all of them, with one message and the last checkpoint whole."""
 
-import importlib.util
 import os
 import re
-import shutil
 import signal
 import subprocess
 import time
 
 import numpy as np
 import pytest
+from installed import HAS_RANKS, NO_RANKS
 
 from compare import launch
+from mpm.errors import INTERRUPTED
 from mpm.results import Results
 
-if importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None:
-    pytest.skip("no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)", allow_module_level=True)
+if not HAS_RANKS:
+    pytest.skip(NO_RANKS, allow_module_level=True)
 
 LONGEST = 120  # seconds: nothing hangs
 AFTER = 30  # steps that are well before what goes wrong
@@ -50,7 +50,11 @@ def started(folder, fault):
 
 def run(folder, fault):
     """Exit code of a run with a fault, and what was said on standard error."""
-    process = started(folder, fault)
+    return ended(started(folder, fault))
+
+
+def ended(process):
+    """Exit code of a process, and what its ranks said on standard error."""
     try:
         said = process.communicate(timeout=LONGEST)[1]
     finally:
@@ -110,6 +114,34 @@ def fault(domain):
     code, said = run(tmp_path / "run", fault)
     assert code != 0
     assert "error: rank 1: MemoryError" in said
+
+
+def test_ctrl_c_before_the_ranks_are_set_up_ends_all_as_ctrl_c_does(tmp_path):
+    """The launcher hands it on as SIGUSR1, here while the first rank cuts the plan."""
+    code = """
+import signal
+from explicit.ranks import Domain
+
+cut_anew = Domain.cut_anew
+def interrupted(domain, x):
+    if domain.comm.rank == 0:
+        signal.raise_signal(signal.SIGUSR1)
+    return cut_anew(domain, x)
+Domain.cut_anew = interrupted
+
+from compare.cli.main import main
+main()
+"""
+    process = launch.start(
+        3,
+        ["-c", code, "run", "column_small", "--out", str(tmp_path / "run")],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    code, said = ended(process)
+    assert (code, [line for line in said if line]) == (INTERRUPTED, ["interrupted"])
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_rank_that_exits_ends_all(tmp_path):

@@ -1,6 +1,5 @@
 """The explicit solver on several MPI ranks: the same run as on one, and what ends one rank ends all."""
 
-import importlib.util
 import os
 import shutil
 import signal
@@ -10,14 +9,15 @@ import time
 
 import numpy as np
 import pytest
+from installed import HAS_RANKS, NO_RANKS
 
 import repose
 from compare.launch import call, start
 from mpm.devices import gpu_count
 from mpm.results import CHECKPOINT, Results
 
-if importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None:
-    pytest.skip("no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)", allow_module_level=True)
+if not HAS_RANKS:
+    pytest.skip(NO_RANKS, allow_module_level=True)
 
 PROGRAM = (sys.executable, "-c", "from compare.cli.main import main; main()")
 LONGEST = 120  # seconds: nothing hangs
@@ -166,9 +166,8 @@ def times_gathered(folder, history_every):
     return sum(gathered), len(Results.open(folder).history()["time"])
 
 
-def test_history_rows_gather_nothing(tmp_path, monkeypatch):
+def test_history_rows_gather_nothing(tmp_path, found_by_processes):
     """Snapshots and checkpoints do: the body need not fit one machine for more than those."""
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
     few, many = (call(2, times_gathered, tmp_path / str(every), every) for every in (0.05, 0.005))
     assert few[1] < 5 < 15 < many[1]
     assert few[0] == many[0]
@@ -189,8 +188,7 @@ def two_at_a_time():
     return [solver.x.numpy() for solver in solvers]
 
 
-def test_ranks_know_the_parts_of_several_bodies(monkeypatch, solver_of):
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
+def test_ranks_know_the_parts_of_several_bodies(found_by_processes, solver_of):
     for damping, x in zip((0.0, 0.4), call(2, two_at_a_time), strict=True):
         alone = solver_of("column_small", "grid.cell=0.25", f"explicit.damping={damping}")
         for time_ in (0.1, 0.2):

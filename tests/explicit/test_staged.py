@@ -1,17 +1,16 @@
 """The step of a rank on a GPU, run on the CPU: sums that are packed, carried by the host and added are the halo's."""
 
-import importlib.util
-import shutil
 import subprocess
 
 import numpy as np
 import pytest
+from installed import HAS_RANKS, NO_RANKS
 
 from compare import launch
 from mpm.results import Results
 
-if importlib.util.find_spec("mpi4py") is None or shutil.which("mpiexec") is None:
-    pytest.skip("no mpi4py, or no mpiexec in PATH: they come with dolfinx (see ./repose info)", allow_module_level=True)
+if not HAS_RANKS:
+    pytest.skip(NO_RANKS, allow_module_level=True)
 
 LONGEST = 120  # seconds: nothing hangs
 SHORT = ("explicit.until=0.3", "output.every=0.1", "output.vtk=false")

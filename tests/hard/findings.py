@@ -1,15 +1,13 @@
 """What the tests of hard cases share: a case is run once, and each finding that is expected of it is a test."""
 
 import functools
-import importlib.util
 from contextlib import nullcontext, suppress
 
 import pytest
+from installed import HAS_IMPLICIT, NO_IMPLICIT
 
 from compare.hard.case import CASES
 from mpm.errors import SceneError
-
-HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
 
 
 def of_one_solver(asked, missed):
@@ -81,5 +79,5 @@ def _marks(name, solvers):
     """Of a test that needs `solvers` of the case `name`."""
     marks = [pytest.mark.slow] if any(case.slow for case in CASES if case.name == name) else []
     if set(solvers) == {"implicit"} and not HAS_IMPLICIT:
-        marks.append(pytest.mark.skip(reason="dolfinx or petsc4py is not installed (see ./repose info)"))
+        marks.append(pytest.mark.skip(reason=NO_IMPLICIT))
     return marks

@@ -3,27 +3,22 @@
 Each test runs its own interpreter: what matters is the order of the first imports, and a crash.
 """
 
-import importlib.util
 import os
 import subprocess
 import sys
 
 import pytest
+from installed import needs_implicit
 
 from mpm.caches import COMPILING
 from mpm.provenance import how_to_get_dolfinx
-
-needs_dolfinx = pytest.mark.skipif(
-    None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")),
-    reason="dolfinx or petsc4py is not installed (see ./repose info)",
-)
 
 
 def run(code: str, *arguments: str) -> subprocess.CompletedProcess:
     return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True)
 
 
-@needs_dolfinx
+@needs_implicit
 def test_h5py_works_after_dolfinx(tmp_path):
     code = """
 import sys
@@ -42,7 +37,7 @@ with h5py.File(sys.argv[1]) as file:
     assert answer.stdout.split() == ["3.0", "1", "3", "dolfinx"]
 
 
-@needs_dolfinx
+@needs_implicit
 def test_libraries_are_those_that_were_loaded():
     code = """
 from implicit._dolfinx import MPI, PETSc, dolfinx, libraries
@@ -56,7 +51,7 @@ print(sorted(found), "\\n" in "".join(found.values()))
     assert answer.stdout == "['dolfinx', 'mpi', 'mpi4py', 'petsc', 'petsc4py'] False\n", answer.stderr
 
 
-@needs_dolfinx
+@needs_implicit
 def test_elements_are_compiled_once_quietly_and_not_untold(tmp_path):
     code = """
 import logging

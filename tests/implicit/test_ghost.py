@@ -1,9 +1,8 @@
 """The ghost penalty: small cuts no longer spoil the matrix, and linear motion passes freely."""
 
-import importlib.util
-
 import numpy as np
 import pytest
+from installed import HAS_IMPLICIT, NO_IMPLICIT
 
 from compare.hard.rest import condition
 from mpm.body import build
@@ -11,8 +10,8 @@ from mpm.devices import start_warp
 from mpm.load import load_scene
 from mpm.seed import seed
 
-if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
-    pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
+if not HAS_IMPLICIT:
+    pytest.skip(NO_IMPLICIT, allow_module_level=True)
 
 from implicit.pseudo_time import Regularisation
 from implicit.solver import ImplicitSolver

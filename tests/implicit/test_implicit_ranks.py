@@ -1,8 +1,6 @@
 """The implicit solver on several MPI ranks: the same system, and the same collapse, as on one."""
 
-import importlib.util
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -11,11 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from installed import HAS_IMPLICIT, HAS_RANKS, NO_IMPLICIT, NO_RANKS
 
-if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
-    pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
-if shutil.which("mpiexec") is None:
-    pytest.skip("no mpiexec in PATH: it comes with dolfinx (see ./repose info)", allow_module_level=True)
+if not HAS_IMPLICIT:
+    pytest.skip(NO_IMPLICIT, allow_module_level=True)
+if not HAS_RANKS:
+    pytest.skip(NO_RANKS, allow_module_level=True)
 
 from system_on_ranks import collapses, fields, settled
 
@@ -100,13 +99,12 @@ def collapsed(tmp_path_factory):
 
 
 @pytest.mark.parametrize("ranks", [2, *(pytest.param(more, marks=pytest.mark.slow) for more in (3, 4))])
-def test_collapses_are_those_of_one_rank(collapsed, tmp_path, monkeypatch, ranks):
+def test_collapses_are_those_of_one_rank(collapsed, tmp_path, found_by_processes, ranks):
     """Newton's counts too, though linear systems are solved to a tenth and sweeps go over the rows of each rank.
 
     So Newton's way is another one, and a single collapse can take 10 % more or fewer iterations, as one from another
     start can: pairs from many starts are compared. Both ends of the mean's interval are within the limit.
     """
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(SYSTEM.parent), os.environ.get("PYTHONPATH", "")]))
     found = launch.call(ranks, collapses, str(tmp_path), STARTS)
     assert all((each["stop_reason"], each["failed_steps"]) == ("rest", 0) for each in found)
     for name, limit in (("newton_iterations", MORE), ("R_995", 0.015), ("h_inf", 0.005)):
@@ -143,6 +141,18 @@ def test_load_steps_with_ranks_that_have_no_points(tmp_path):
     assert summary["stop_reason"] == "rest"
     assert 2.0 - summary["h_inf"] == pytest.approx(2000 * 9.81 * 2.0**2 / (2 * 7.86154e6), rel=0.01)
     assert (tmp_path / "run" / "vtk" / "background.xdmf").is_file()
+
+
+def test_a_collapse_with_ranks_that_have_no_points(tmp_path):
+    """A pillar one cell wide on three ranks, under its own weight from the start."""
+    column = ("--set", "geometry={shape='box', size=[0.25, 0.25, 1.0]}", "--set", "implicit.max_steps=3")
+    for ranks in (1, 3):
+        command("run", "column_small", *COARSE, *column, "--out", tmp_path / str(ranks), "--ranks", ranks)
+    one, many = (Results.open(tmp_path / name) for name in ("1", "3"))
+    assert len(set(domains(many, 3)[0])) == 1
+    assert many.summary()["steps"] == 3
+    after_a_step = [results.history()["height"][1] for results in (one, many)]  # the next is as long as Newton lets it
+    assert 1.0 - after_a_step[1] == pytest.approx(1.0 - after_a_step[0], rel=0.01)
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_rest_on_another_number_of_ranks(tmp_path):
@@ -215,9 +225,8 @@ def gathered(folder, steps):
     return orders.count("gathered"), Results.open(folder).history()
 
 
-def test_history_rows_gather_nothing_and_say_what_the_points_do(tmp_path, monkeypatch):
+def test_history_rows_gather_nothing_and_say_what_the_points_do(tmp_path, found_by_processes):
     """Snapshots and checkpoints gather: the body need not fit one machine for more than those."""
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([os.path.dirname(__file__), os.environ.get("PYTHONPATH", "")]))
     few, many = (launch.call(2, gathered, tmp_path / str(steps), steps) for steps in (2, 8))
     assert few[0] == many[0]
     results, last = Results.open(tmp_path / "8"), {name: column[-1] for name, column in many[1].items()}

@@ -1,12 +1,12 @@
 """How an implicit run ends and goes on: rest, the most steps, an interrupt, a Newton that fails, a scene refused."""
 
-import importlib.util
 import signal
 from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
+from installed import HAS_IMPLICIT, NO_IMPLICIT
 
 from mpm.body import build
 from mpm.errors import NumericalError, SceneError
@@ -14,8 +14,8 @@ from mpm.load import load_scene, parse_scene
 from mpm.results import Results
 from mpm.run import Interrupted
 
-if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
-    pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
+if not HAS_IMPLICIT:
+    pytest.skip(NO_IMPLICIT, allow_module_level=True)
 
 from implicit import solver
 from implicit._dolfinx import dolfinx
@@ -163,6 +163,10 @@ def test_where_newton_fails_the_last_good_state_is_saved_and_named(tmp_path, mon
     assert last == f"last good state: t = {state['time']:.6g} s in {tmp_path / 'checkpoint.h5'}"
     assert list(Results.open(tmp_path).history()["step"]) == [0, 1, 2, 3, 4]
     assert not (tmp_path / "summary.json").exists()
+    with pytest.raises(NumericalError, match="Newton failed at the smallest step") as again:  # before it has a row
+        resume(tmp_path)
+    assert str(again.value).splitlines()[1] == last
+    assert list(Results.open(tmp_path).history()["step"]) == [0, 1, 2, 3, 4]
 
 
 def test_points_that_are_not_finite_are_never_saved(tmp_path):

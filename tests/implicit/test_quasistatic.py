@@ -1,9 +1,8 @@
 """Quasistatic collapses by the implicit solver: where they come to rest, and that hard inputs end in a result."""
 
-import importlib.util
-
 import numpy as np
 import pytest
+from installed import HAS_IMPLICIT, NO_IMPLICIT
 
 from mpm.body import build
 from mpm.devices import start_warp
@@ -12,8 +11,8 @@ from mpm.runout import run_out
 from mpm.seed import seed
 from mpm.theory import theory
 
-if None in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py")):
-    pytest.skip("dolfinx or petsc4py is not installed (see ./repose info)", allow_module_level=True)
+if not HAS_IMPLICIT:
+    pytest.skip(NO_IMPLICIT, allow_module_level=True)
 
 from implicit.pseudo_time import Regularisation, Rest
 from implicit.solver import ImplicitSolver

@@ -8,13 +8,13 @@ averaged at the nodes it errs less.
 
 import numpy as np
 import pytest
+from closed_forms import self_weight_height
 
 from mpm.body import build
 from mpm.devices import start_warp
 from mpm.errors import SceneError
 from mpm.gimp import HALF_LENGTH_IN_CELLS
 from mpm.load import parse_scene
-from mpm.theory import self_weight_height
 
 pytest.importorskip("implicit._dolfinx", reason="dolfinx or petsc4py is not installed", exc_type=SceneError)
 from implicit import solver as implicit_solver

@@ -1,6 +1,5 @@
 """State variables of the law: both solvers hand them on, whatever they are; files have them by name."""
 
-import importlib.util
 import shutil
 import subprocess
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from installed import needs_implicit, needs_ranks
 
 from compare import launch
 from mpm.law_state import by_name, by_point, first_law_state, variables
@@ -17,18 +17,16 @@ from mpm.scene import Material
 SAND = {"young": 1e7, "poisson": 0.3, "density": 2000.0, "friction_angle": 30.0}
 LAW = Path(__file__).with_name("law_of_two.py")
 LONGEST = 600  # seconds: nothing hangs
-HAS_IMPLICIT = None not in (importlib.util.find_spec("dolfinx"), importlib.util.find_spec("petsc4py"))
-HAS_RANKS = importlib.util.find_spec("mpi4py") is not None and shutil.which("mpiexec") is not None
 MODES = [
     "explicit",
     pytest.param(
         "implicit",
-        marks=pytest.mark.skipif(not HAS_IMPLICIT, reason="dolfinx or petsc4py is not installed (see ./repose info)"),
+        marks=needs_implicit,
     ),
 ]
 RANKS = [
     1,
-    pytest.param(2, marks=pytest.mark.skipif(not HAS_RANKS, reason="no mpi4py, or no mpiexec in PATH")),
+    pytest.param(2, marks=needs_ranks),
 ]
 
 

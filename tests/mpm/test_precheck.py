@@ -35,6 +35,23 @@ def test_a_fixed_time_step_may_reach_the_courant_limit_and_no_more():
         refuse(body, "explicit")
 
 
+def test_an_end_of_a_run_to_rest_is_refused_where_another_is_set():
+    body = column("explicit.max_time=20", "explicit.until=0.5")
+    (line,) = refusals(body, "explicit")
+    assert line.startswith("explicit.max_time = 20: ends a run to rest, and explicit.until = 0.5 [s] ends this one")
+    assert refusals(body, "implicit") == []  # it knows neither
+    assert refusals(column("explicit.max_time=20"), "explicit") == []
+    assert refusals(column("explicit.until=0.5"), "explicit") == []
+
+
+def test_the_number_of_a_random_start_is_refused_where_points_start_on_a_lattice():
+    for mode in ("explicit", "implicit"):
+        (line,) = refusals(column("grid.realisation=3"), mode)
+        assert line.startswith("grid.realisation = 3: ") and "grid.scatter = 0" in line and "[-]" in line
+        assert refusals(column("grid.realisation=3", "grid.scatter=0.5"), mode) == []
+        assert refusals(column("grid.realisation=0"), mode) == []
+
+
 def test_the_implicit_solver_refuses_what_has_no_quasistatic_reading():
     weightless = ("loads.gravity=0", "explicit.until=1.0", "output.history_every=0.1")
     body = column("loads.ramp=0.5", *weightless)

@@ -320,5 +320,3 @@ def test_summary_is_strict_json_with_null_for_what_is_not_finite(run):
     assert json.loads(text, parse_constant=fail) == expected
     assert '\n  "R_max": 0.3' in text
     assert Results.open(run.directory).summary() == expected
-    with h5py.File(run.directory / "results.h5") as file:
-        assert file.attrs["finished"] and json.loads(file.attrs["summary"]) == expected

@@ -5,7 +5,7 @@ import numpy as np
 from compare.batch import Job, Outcome
 from compare.ensembles import estimate
 from compare.experiments import measured_runout
-from compare.metrics import axis_of, deposit, half_length
+from compare.metrics import axis_of, deposit
 from compare.report.sections import made_by
 from mpm.results import Results
 from mpm.runout import connected
@@ -74,7 +74,7 @@ def morphology(results: Results) -> dict[str, float]:
     last, scene = results.snapshot(-1), results.scene
     x, cell = last["x"].astype(float), scene.grid.cell
     square = np.unique(np.floor(x[:, :2] / cell).astype(int), axis=0, return_inverse=True)[1].ravel()
-    z = x[:, 2] + half_length(scene)
+    z = x[:, 2] + scene.grid.half_length
     top = np.zeros(square.max() + 1)
     np.maximum.at(top, square, z)
     strain = last["eps_p_eqv"].astype(float)
