@@ -37,9 +37,12 @@ def run_to():
 
 @pytest.fixture
 def found_by_processes(monkeypatch):
-    """Programs that the test starts find the modules of tests, as this process does."""
+    """Programs that the test starts find the modules of tests, as this process does.
+
+    The checkout comes first: tests/mpm and its like would else be found as packages of these names.
+    """
     here = os.path.dirname(__file__)
-    folders = [folder for folder in sys.path if folder.startswith(here)]
+    folders = [os.path.dirname(here), *(folder for folder in sys.path if folder.startswith(here))]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*folders, os.environ.get("PYTHONPATH", "")]))
 
 

@@ -198,8 +198,8 @@ def test_what_the_page_on_the_implicit_solver_says_of_the_grid():
         errors = [of[cells].standard_error for cells in fine]
         limit, _, order = curve_fit(lambda h, a, c, p: a + c * h**p, size, means, (0.3, 0.05, 1.5), errors)[0]
         fitted += [order, limit, *percent(limit / float(IMPLICIT[0.5, 20.0]["eq4"]))]
-    said = "R + C h^p through those of 8 cells and more gives p = # and R = # (#% of Eq. 4), of 10 and more p = # and R = # "
-    stands(page, said + "(#%)", *fitted)
+    said = "R + C h^p through those of 8 cells and more gives p = # and R = # (#% of Eq. 4), "
+    stands(page, said + "of 10 and more p = # and R = # (#%)", *fitted)
     less = -np.mean([fitted[2], fitted[5]])
     stands(page, "So it tends to some # % less than Eq. 4", less)
     stands("README.md", "At lambda0 = 0.5 it tends to some # % less as cells shrink", less)
