@@ -33,7 +33,7 @@ from mpm.runout import front
 from mpm.scene import Scene
 from mpm.theory import outlook, theory
 
-DAMPING = 0.4  # of the explicit run: the paper's quasistatic collapse
+DAMPING = 0.4  # of the explicit run: what the paper takes for the quasistatic collapse
 COLLAPSED = 0.01  # advance of R_995 above which a body has run out
 COLOURED = ["displacement", "eps_p_eqv", "volume"]
 
@@ -125,8 +125,8 @@ def compare_solvers(
         "about": about_what,
         "title": f"{scene.name}: implicit against explicit and theory",
         "lead": _finding(outcomes, labels)
-        + f"Quasistatic collapse of one scene by the implicit solver and by the explicit one with local damping "
-        f"D = {DAMPING}, cell size {scene.grid.cell:g} m; theory is Eq. 4 of Wyser et al. (2023) with the angle of "
+        + f"Collapse of one scene, quasistatic by the implicit solver and damped by the explicit one (local damping "
+        f"D = {DAMPING}), cell size {scene.grid.cell:g} m; theory is Eq. 4 of Wyser et al. (2023) with the angle of "
         "friction.",
         "opening": _profiles(outcomes, labels, directory),
         "verdict": verdict(checks),
