@@ -198,7 +198,8 @@ def _wait(requests, ranks, comm):
             if late:  # none: the last message has just arrived
                 told = True
                 whom = " and ".join(f"rank {rank}" for rank in late)
-                print(f"rank {comm.rank} waits for {whom}, for {PATIENCE:.0f} s now", file=sys.stderr, flush=True)
+                said = f"rank {comm.rank} waits for {whom}, for {PATIENCE:.0f} s now\n"
+                print(said, end="", file=sys.stderr, flush=True)  # in one write: ranks would write into lines of others
 
 
 def shared_pencils(pencils, comm) -> list[tuple[int, np.ndarray]]:

@@ -100,7 +100,8 @@ def abort(comm, error: BaseException):
     """Say what ended this rank, and end all: those that wait for it in the middle of an order would do so for ever."""
     stopped = isinstance(error, KeyboardInterrupt)
     said = "interrupted" if stopped else f"error: rank {comm.rank}: {str(error) or type(error).__name__}"
-    print(said, file=sys.__stderr__, flush=True)  # not to sys.stderr, which a progress bar may hold back
+    # Not to sys.stderr, which a progress bar may hold back, and in one write, as two ranks may have something to say.
+    print(f"{said}\n", end="", file=sys.__stderr__, flush=True)
     comm.Abort(INTERRUPTED if stopped else 1)
 
 
