@@ -313,6 +313,20 @@ def test_what_is_said_of_ensembles():
     stands(page, "no cell holds more than # points", max(float(row["most_points_in_a_cell"]) for row in everything))
 
 
+def test_what_is_said_of_the_cost_of_stiffness():
+    page, seconds = "docs/speed.md", {}
+    for row in rows_of("study_error_cpu.csv"):
+        if row["cells"] == "8.0" and row["precision"] == "float64":
+            seconds[row["solver"], row["changed"]] = float(row["seconds"])
+    said = "the explicit run takes # and # times as long for 10 and 100 times as much, the implicit one # and # times"
+    more = [seconds[solver, e] / seconds[solver, ""] for solver in ("explicit", "implicit") for e in ("E10", "E100")]
+    stands(page, said, *more)
+    (soft,) = (row for row in rows_of("study_error_cpu.csv") if row["changed"] == "soft")
+    alike = seconds["explicit", "soft"] / seconds["implicit", "E10"]
+    said = "both with E = # MPa, the explicit run takes # times as long as the implicit one with 8 cells per r0"
+    stands(page, said, float(soft["young"]) / 1e6, alike)
+
+
 def test_what_is_said_of_material_in_the_explicit_solver():
     of = {}
     for row in rows_of("explicit_material_ensembles_cpu.csv"):
