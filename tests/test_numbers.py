@@ -387,6 +387,7 @@ def test_what_is_said_of_hard_cases():
     stands(page, said, *(of(case, "nu = 0.499: pressure scatter in a cell of a standing") for case in both))
     stands(page, "turned by 45 degrees (# %, 2 % allowed)", 100 * of("symmetry", "turned by 45 degrees"))
     stands(page, "settlement scatters by # %", 100 * of("small cut, implicit", "settlement of the top"))
+    stands(page, "at nu = 0.499 as at 0.3 (# % apart explicit;", 100 * of("clay", "tall block, nu = 0.499: R"))
 
 
 def test_what_is_said_of_the_grids_directions():
